@@ -36,7 +36,10 @@ constexpr int kMountingTracks = 50;           // of a pair; there is time to fin
 constexpr double kGuessInterval = 3;          // between guesses of axes that were taken for each other [s]
 constexpr double kClockInterval = 2;          // between searches for clocks that are far apart [s]
 constexpr double kClockReach = 0.1;           // nearer ones the tracks find [s]
-constexpr double kSameClock = 0.02;           // of two searches that agree [s]
+constexpr double kSameClock = 0.03;           // of two searches that agree [s]
+constexpr double kGoodMisfit = 1;             // of noise; below, gyro and images agree
+constexpr int kOffsetsPerImage = 2;           // that a search for clocks tries
+constexpr int kMostClockSearches = 5;         // that tell nothing, where nothing else speaks for a difference
 constexpr double kKnownOffset = 0.01;  // standard deviation of the offset between the clocks, enough for a scale [s]
 constexpr double kCloseMisfit = 0.5;   // of a gyro that fits so well that another offset cannot matter
 
@@ -104,18 +107,37 @@ void ImuAlignment::restartAt(double time_offset) {
   shutter_open_ = false;
   last_guess_ = last_clock_search_ = -1;
   right_angles_.reset();
+  clock_search_.reset();
   clocks_apart_.reset();
+  clocks_compared_ = false;
+  clock_searches_ = 0;
 }
 
-bool ImuAlignment::findClock(double stamp) {
+bool ImuAlignment::clockSearchDue(double stamp, bool metric) const {
   if (settings_.gyro_alignment.time_offset_stddev <= 0 || stamp - last_clock_search_ < kClockInterval) return false;
-  last_clock_search_ = stamp;
-  if (problem().empty() && clockProblem().empty()) return false;
-  const auto before = std::exchange(clocks_apart_, gyro_alignment_.otherTime(imu_.buffer()));
-  if (!before || !clocks_apart_ || std::abs(*before - *clocks_apart_) > kSameClock) return false;
-  const double offset = *clocks_apart_;
-  if (std::abs(offset - gyro_alignment_.givenTimeOffset()) < kClockReach) return false;
-  restartAt(offset);
+  if (clocks_apart_ || (!clocks_compared_ && clock_searches_ < kMostClockSearches)) return true;
+  return !metric && (trusted().misfit() > kGoodMisfit || !clockProblem().empty());
+}
+
+bool ImuAlignment::findClock(double stamp, bool metric) {
+  if (!clock_search_) {
+    if (!clockSearchDue(stamp, metric)) return false;
+    clock_search_ = ClockSearch::begin(shutter_alignment_ ? *shutter_alignment_ : gyro_alignment_, imu_.buffer());
+    if (!clock_search_) return false;
+    last_clock_search_ = stamp;
+    ++clock_searches_;
+  }
+  if (!clock_search_->advance(kOffsetsPerImage)) return false;
+  const auto found = clock_search_->found(), before = std::exchange(clocks_apart_, std::nullopt);
+  clock_search_.reset();
+  if (!found) return false;
+  if (std::abs(*found - gyro_alignment_.givenTimeOffset()) < kClockReach) {
+    clocks_compared_ = true;
+    return false;
+  }
+  clocks_apart_ = found;
+  if (!before || std::abs(*before - *found) > kSameClock) return false;
+  restartAt(*found);
   return true;
 }
 

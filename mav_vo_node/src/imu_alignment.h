@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "image_clock_imu.h"
+#include "mav_vo/clock_search.h"
 #include "mav_vo/odometry.h"
 #include "visual_frontend/accel_noise.h"
 #include "visual_frontend/imu_attitude.h"
@@ -58,8 +59,9 @@ class ImuAlignment {
   /// True when a sure offset between the clocks replaced the one in use.
   bool adoptTimeOffset();
   /// True when the clocks turn out to be farther apart than the tracks can tell: what gyro and images told of each
-  /// other is forgotten, and begins anew there.
-  bool findClock(double stamp);
+  /// other is forgotten, and begins anew there. Looked for until once all offsets have been compared, and in a map that
+  /// is not `metric` as long as gyro and images disagree.
+  bool findClock(double stamp, bool metric);
   /// A bias from elsewhere, kept where it is better known than the tracks'.
   void keepBias(const Eigen::Vector3d& gyro_bias, double sigma);
 
@@ -91,6 +93,7 @@ class ImuAlignment {
  private:
   const GyroAlignment& trusted() const { return shutter_open_ ? *shutter_alignment_ : gyro_alignment_; }
   bool mountingExplainsMore() const;
+  bool clockSearchDue(double stamp, bool metric) const;
   void restartAt(double time_offset);
   bool contradictsShutter() const;
 
@@ -109,7 +112,10 @@ class ImuAlignment {
   bool metric_ = false;
   double last_guess_ = -1;                       ///< of right angles [s]
   std::optional<Eigen::Matrix3d> right_angles_;  ///< R_given_imu by which gyro and images would agree
+  std::optional<ClockSearch> clock_search_;      ///< under way
   double last_clock_search_ = -1;                ///< [s]
+  int clock_searches_ = 0;                       ///< since the beginning
+  bool clocks_compared_ = false;                 ///< over a second to either side, and as taken to be
   std::optional<double> clocks_apart_;           ///< as found once, to be found again [s]
   StandstillDetector standstill_;
   std::optional<UpDirection> up_;

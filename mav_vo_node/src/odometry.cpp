@@ -122,7 +122,7 @@ void Odometry::Impl::useImu(double stamp) {
   const std::vector<Feature>& features = pose.tracker().features();
   if (last_stamp >= 0) imu.checkCoverage(last_stamp, stamp);
   imu.carryUp(pose.turnSincePrevious(), stamp - last_stamp);
-  if (!metric() && imu.findClock(stamp)) startMap();  // whose turns and gravity were those of another time
+  if (imu.findClock(stamp, metric())) startMap();  // whose turns and gravity were those of another time
   if (imu.detectStandstill(stamp, features, metric())) bias.gyro = imu.gyroBias();
   next_readout = imu.alignShutter(stamp, features, pose.readoutTime());
   if (const auto turn = imu.alignMounting(stamp, features)) turnImu(*turn);

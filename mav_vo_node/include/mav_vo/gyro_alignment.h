@@ -83,11 +83,9 @@ class GyroAlignment {
   /// R_given_imu by right angles with which they would agree, where no other does nearly as well. Takes as long as 24
   /// images.
   std::optional<Eigen::Matrix3d> rightAngles(const ImuBuffer& imu) const;
-  /// Time offset within a second at which they would agree, where they do nearly as well at no other [s]. Takes twice
-  /// as long.
-  std::optional<double> otherTime(const ImuBuffer& imu) const;
 
  private:
+  friend class ClockSearch;
   static constexpr double kOtherMinimum = 9;  ///< in cost over the window, by which another minimum must be better
   static constexpr double kAgreement = 2;     ///< misfit of gyro and images that are of one mounting and time
   static constexpr int kStates = 8;           ///< gyro bias, time offset, readout time, mounting
