@@ -306,6 +306,11 @@ TEST(Conversions, CloudRoundTripKeepsColourAndDropsWhatIsNowhere) {
   points[0].rgb.setConstant(77);
   read = cloudFromMsg(toMsg(points, CloudFields::kXyzIntensity, std_msgs::Header()));
   EXPECT_EQ(read[0].rgb[1], 77);
+  EXPECT_TRUE(std::isnan(read[0].hidden_from));
+  points[0].hidden_from = 0.7f;
+  read = cloudFromMsg(toMsg(points, CloudFields::kXyzRgbHidden, std_msgs::Header()));
+  EXPECT_EQ(read[0].hidden_from, 0.7f);
+  EXPECT_EQ(read[0].rgb[1], 77);
   EXPECT_TRUE(cloudFromMsg(toMsg({}, CloudFields::kXyz, std_msgs::Header())).empty());
   sensor_msgs::PointCloud2 broken = toMsg(points, CloudFields::kXyz, std_msgs::Header());
   broken.data.resize(3);

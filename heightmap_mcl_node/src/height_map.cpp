@@ -66,6 +66,38 @@ void validate(const HeightMapSettings& settings) {
           "max_extent must be 10 to 20000 cells [m]");
 }
 
+std::vector<Eigen::Vector3f> withoutHiddenTops(const std::vector<Eigen::Vector3f>& points,
+                                               const std::vector<float>& hidden_from, double resolution) {
+  constexpr float kAbove = 0.1f, kAbout = 0.15f;  // the point; where it is hidden from: an edge that was seen [m]
+  if (points.size() != hidden_from.size())
+    throw std::invalid_argument("withoutHiddenTops: as many heights as points are needed");
+  using Cell = std::pair<long, long>;
+  const auto cellOf = [resolution](const Eigen::Vector3f& p) {
+    return Cell(static_cast<long>(std::floor(p.x() / resolution)), static_cast<long>(std::floor(p.y() / resolution)));
+  };
+  std::map<Cell, std::vector<float>> heights;  // of cells with hidden points
+  const auto usable = [](const Eigen::Vector3f& p) { return p.allFinite() && p.cwiseAbs().maxCoeff() < kFarthest; };
+  for (std::size_t i = 0; i < points.size(); ++i)
+    if (!std::isnan(hidden_from[i]) && usable(points[i])) heights[cellOf(points[i])];
+  if (heights.empty()) return points;
+  for (const auto& p : points) {
+    if (!usable(p)) continue;
+    const auto cell = heights.find(cellOf(p));
+    if (cell != heights.end()) cell->second.push_back(p.z());
+  }
+  std::vector<Eigen::Vector3f> result;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (!std::isnan(hidden_from[i]) && usable(points[i])) {
+      const std::vector<float>& cell = heights[cellOf(points[i])];
+      const bool seen = std::any_of(cell.begin(), cell.end(),
+                                    [&](float z) { return z > points[i].z() + kAbove && z < hidden_from[i] + kAbout; });
+      if (!seen) continue;
+    }
+    result.push_back(points[i]);
+  }
+  return result;
+}
+
 HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings,
                          std::size_t* cropped, const LevelHistogram* earlier) {
   validate(settings);

@@ -274,6 +274,33 @@ TEST(Columns, CeilingLampLintelAndTableFromBelowAreNoHeights) {
   EXPECT_NEAR(heightAt(buildHeightMap(points, settings), 2.05, 1.85), 1.2, 0.02);
 }
 
+// Floor of which a table hides what is above, seen by the ground robot: with its underside, whose edge was seen, or
+// not.
+TEST(Columns, FloorBelowATableSaysNothingOfTheTable) {
+  std::vector<Eigen::Vector3f> points;
+  std::vector<float> hidden;
+  const auto add = [&](float x, float z, float from) {
+    points.emplace_back(x, 0.005f, z);
+    hidden.push_back(from);
+  };
+  const float nothing = std::numeric_limits<float>::quiet_NaN();
+  add(0.005f, 0.f, 0.7f);  // the floor below the table
+  add(0.105f, 0.f, 0.7f);  // and where the table was seen from below, and the ceiling
+  add(0.105f, 0.71f, nothing);
+  add(0.205f, 0.f, 0.7f);  // and where the ceiling alone was
+  add(0.205f, 2.4f, nothing);
+  add(0.305f, 0.f, nothing);  // the open floor
+  const auto left = withoutHiddenTops(points, hidden, 0.02);
+  ASSERT_EQ(left.size(), 4u);
+  EXPECT_EQ(left[0], points[1]);
+  EXPECT_EQ(left[1], points[2]);
+  EXPECT_EQ(left[2], points[4]);
+  EXPECT_EQ(left[3], points[5]);
+  EXPECT_THROW(withoutHiddenTops(points, {nothing}, 0.02), std::invalid_argument);
+  points[0].x() = nothing;
+  EXPECT_EQ(withoutHiddenTops(points, hidden, 0.02).size(), 5u) << "not finite: for buildHeightMap to leave out";
+}
+
 TEST(Columns, MergingPrefersHeightsAndTheHighestBound) {
   HeightMap a;
   a.resolution = 0.1;

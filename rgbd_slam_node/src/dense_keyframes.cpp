@@ -8,6 +8,7 @@ using Points = std::vector<KeyframeDepth::Point>;
 
 void DenseKeyframes::clear() {
   points_.clear();
+  rays_.clear();
   gone_.clear();
   active_.reset();
 }
@@ -17,6 +18,7 @@ void DenseKeyframes::begin(KeyframeId id, const cv::Mat& depth, const cv::Mat& c
   finish();
   active_ = std::make_unique<KeyframeDepth>(camera_, depth, colour, depth_, cloud_, &rows);
   active_id_ = id;
+  rays_[id] = std::make_shared<const DepthRays>(camera_, depth, depth_);
 }
 
 void DenseKeyframes::fuse(const cv::Mat& depth, const Pose& T_frame_keyframe,
@@ -68,15 +70,31 @@ void DenseKeyframes::recalibrate(const CameraModel& camera) {
     }
     entry.second = std::move(points);
   }
+  for (auto& entry : rays_) {
+    auto rays = std::make_shared<DepthRays>(*entry.second);
+    for (DepthRays::Ray& ray : rays->rays) {
+      const auto pixel = camera_.project({ray.x, ray.y, 1});
+      const Eigen::Vector2d now = pixel ? camera.unproject(*pixel) : Eigen::Vector2d(ray.x, ray.y);
+      if (!now.allFinite()) continue;
+      ray.x = static_cast<float>(now.x());
+      ray.y = static_cast<float>(now.y());
+    }
+    entry.second = std::move(rays);
+  }
   camera_ = camera;
+}
+
+std::shared_ptr<const DepthRays> DenseKeyframes::raysOf(KeyframeId id) const {
+  const auto it = rays_.find(id);
+  return it == rays_.end() ? nullptr : it->second;
 }
 
 std::vector<PosedPoints> DenseKeyframes::posed(const visual_frontend::Map& map) const {
   std::vector<PosedPoints> result;
-  for (const auto& [id, points] : points_) result.push_back({map.keyframe(id).T_map_camera, points, id});
+  for (const auto& [id, points] : points_) result.push_back({map.keyframe(id).T_map_camera, points, id, raysOf(id)});
   if (active_)
     result.push_back({map.keyframe(active_id_).T_map_camera,
-                      std::make_shared<const Points>(active_->points(depth_, cloud_)), active_id_});
+                      std::make_shared<const Points>(active_->points(depth_, cloud_)), active_id_, raysOf(active_id_)});
   return result;
 }
 

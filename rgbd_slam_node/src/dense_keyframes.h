@@ -24,6 +24,7 @@ class DenseKeyframes {
   void finish();  ///< the frames' view is no longer the newest keyframe's
   void forget(KeyframeId id) {
     points_.erase(id);
+    rays_.erase(id);
     gone_.erase(id);
   }
   /// A depth image that shares the view of a keyframe: what it and some before it see through goes out of that one's
@@ -37,11 +38,14 @@ class DenseKeyframes {
   std::vector<PosedPoints> posed(const visual_frontend::Map& map) const;
 
  private:
+  std::shared_ptr<const DepthRays> raysOf(KeyframeId id) const;
+
   CameraModel camera_;
   DepthModel depth_;
   CloudSettings cloud_;
   int max_frames_;
   std::map<KeyframeId, KeyframePoints> points_;
+  std::map<KeyframeId, std::shared_ptr<const DepthRays>> rays_;
   std::map<KeyframeId, GonePoints> gone_;  // of those that were looked through
   std::unique_ptr<KeyframeDepth> active_;
   KeyframeId active_id_ = visual_frontend::kNoKeyframe;

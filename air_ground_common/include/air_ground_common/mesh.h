@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -21,6 +22,8 @@ struct LabeledPoint {
   Eigen::Vector3f position = Eigen::Vector3f::Zero();  ///< [m]
   Eigen::Matrix<std::uint8_t, 3, 1> rgb = Eigen::Matrix<std::uint8_t, 3, 1>::Zero();
   std::uint8_t source = 0;  ///< who saw it: 0 ground robot, 1 MAV
+  /// Height from which on something that was seen hides what is above the point [m]; NaN: nothing does. Not in files.
+  float hidden_from = std::numeric_limits<float>::quiet_NaN();
 };
 
 /// Binary little-endian PLY with x y z red green blue source. Written through a temporary file; throws

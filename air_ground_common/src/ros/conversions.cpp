@@ -91,7 +91,7 @@ cv::Mat convert(const sensor_msgs::Image& msg, const std::string& encoding) {
 }
 
 struct FieldOffsets {
-  int x = -1, y = -1, z = -1, rgb = -1, intensity = -1, source = -1;
+  int x = -1, y = -1, z = -1, rgb = -1, intensity = -1, source = -1, hidden = -1;
 };
 
 // Only fields that lie within a point are found.
@@ -108,6 +108,7 @@ FieldOffsets findFields(const sensor_msgs::PointCloud2& msg) {
     if ((f.name == "rgb" || f.name == "rgba") && (is_float || f.datatype == sensor_msgs::PointField::UINT32))
       o.rgb = offset;
     if (f.name == "intensity" && is_float) o.intensity = offset;
+    if (f.name == "hidden_from" && is_float) o.hidden = offset;
     if (f.name == "source" && f.datatype == sensor_msgs::PointField::UINT8) o.source = offset;
   }
   if (o.x < 0 || o.y < 0 || o.z < 0)
@@ -281,6 +282,7 @@ std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::s
             static_cast<std::uint8_t>(std::isfinite(intensity) ? std::min(255.f, std::max(0.f, intensity)) : 0.f));
       }
       if (o.source >= 0) point.source = p[o.source];
+      if (o.hidden >= 0) std::memcpy(&point.hidden_from, p + o.hidden, 4);
       points.push_back(point);
     }
   if (dropped) *dropped = count - points.size();
@@ -297,9 +299,10 @@ sensor_msgs::PointCloud2 toMsg(const std::vector<CloudPoint>& points, CloudField
   msg.is_dense = true;
   for (const char* axis : {"x", "y", "z"}) addField(&msg, axis, Field::FLOAT32, 4);
   if (fields == CloudFields::kXyzIntensity) addField(&msg, "intensity", Field::FLOAT32, 4);
-  const bool rgb = fields == CloudFields::kXyzRgb || fields == CloudFields::kXyzRgbSource;
+  const bool rgb = fields != CloudFields::kXyz && fields != CloudFields::kXyzIntensity;
   if (rgb) addField(&msg, "rgb", Field::FLOAT32, 4);
   if (fields == CloudFields::kXyzRgbSource) addField(&msg, "source", Field::UINT8, 1);
+  if (fields == CloudFields::kXyzRgbHidden) addField(&msg, "hidden_from", Field::FLOAT32, 4);
   msg.row_step = msg.point_step * msg.width;
   msg.data.assign(msg.row_step, 0);
   std::uint8_t* out = msg.data.data();
@@ -315,6 +318,7 @@ sensor_msgs::PointCloud2 toMsg(const std::vector<CloudPoint>& points, CloudField
       out[14] = p.rgb[0];
     }
     if (fields == CloudFields::kXyzRgbSource) out[16] = p.source;
+    if (fields == CloudFields::kXyzRgbHidden) std::memcpy(out + 16, &p.hidden_from, 4);
     out += msg.point_step;
   }
   return msg;

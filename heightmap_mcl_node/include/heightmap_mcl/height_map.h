@@ -88,6 +88,12 @@ void validate(const HeightMapSettings& settings);
 HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings,
                          std::size_t* cropped = nullptr, const LevelHistogram* earlier = nullptr);
 
+/// The points but for those above which something was hidden (the floor below a table): who looks from above sees that,
+/// and its height is not known. They stay where their cell has a point there, about the height `hidden_from` which
+/// each has: NaN where nothing hides.
+std::vector<Eigen::Vector3f> withoutHiddenTops(const std::vector<Eigen::Vector3f>& points,
+                                               const std::vector<float>& hidden_from, double resolution);
+
 /// 3x3 maximum over the defined neighbours.
 HeightMap dilate(const HeightMap& map, Dilation mode);
 

@@ -29,6 +29,22 @@ std::optional<std::vector<Eigen::Vector3f>> positionsOf(const sensor_msgs::Point
   return result;
 }
 
+std::optional<std::vector<Eigen::Vector3f>> groundPositions(const sensor_msgs::PointCloud2& msg, double resolution,
+                                                            ros_utils::NodeHealth& health) {
+  const auto points = ros_utils::readCloud(msg, "ground clouds", health);
+  if (!points) return std::nullopt;
+  std::vector<Eigen::Vector3f> positions;
+  std::vector<float> hidden_from;
+  for (const auto& p : *points) {
+    positions.push_back(p.position);
+    hidden_from.push_back(p.hidden_from);
+  }
+  auto result = withoutHiddenTops(positions, hidden_from, resolution);
+  health.value("ground points below what hides the space above them",
+               static_cast<double>(positions.size() - result.size()));
+  return result;
+}
+
 /// What of a cloud is searched where it is larger than its map may be. Empty: all of it, but for a few points far away.
 std::string cropping(const std::string& robot, const std::vector<Eigen::Vector3f>& points, std::size_t cropped,
                      double scale, double max_extent, const std::string& part) {
@@ -170,7 +186,7 @@ class HeightmapMclNode {
 
   void useGround(const Cloud& msg, bool corrected) {
     const ros::WallTime start = ros::WallTime::now();
-    auto points = positionsOf(*msg, "ground clouds", health_);
+    auto points = groundPositions(*msg, settings_.localizer.ground_map.resolution, health_);
     if (!points) return;
     std::size_t cropped = 0;
     if (!localizer_.setGround(*points, &cropped, corrected)) health_.count("ground clouds that define no cell");

@@ -11,6 +11,7 @@
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/mesh.h"
 #include "rgbd_slam/depth_model.h"
+#include "rgbd_slam/hidden_space.h"
 #include "visual_frontend/rolling_shutter.h"
 
 namespace rgbd_slam {
@@ -68,7 +69,8 @@ using KeyframePoints = std::shared_ptr<const std::vector<KeyframeDepth::Point>>;
 struct PosedPoints {
   air_ground_common::Pose T_map_camera;
   KeyframePoints points;
-  int keyframe = -1;  ///< tells the points from those of others as the map goes on
+  int keyframe = -1;                                ///< tells the points from those of others as the map goes on
+  std::shared_ptr<const DepthRays> rays = nullptr;  ///< of its depth image; null: not kept
 };
 
 struct CloudPoint {

@@ -16,6 +16,16 @@ std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& 
   return points;
 }
 
+namespace {
+
+std::vector<PosedRays> raysOf(const std::vector<PosedPoints>& keyframes) {
+  std::vector<PosedRays> rays;
+  for (const PosedPoints& k : keyframes) rays.push_back({k.T_map_camera, k.rays, k.keyframe});
+  return rays;
+}
+
+}  // namespace
+
 CloudPublisher::CloudPublisher(ros::NodeHandle handle, const std::string& topic, const std::string& frame,
                                const CloudSettings& settings, ros_utils::NodeHealth& health)
     : frame_(frame),
@@ -50,6 +60,7 @@ void CloudPublisher::request(std::uint32_t map_id, const ros::Time& stamp, std::
 
 void CloudPublisher::work() {
   GroundCloud ground(settings_);  // of fused_map
+  HiddenSpace hidden;             // likewise
   std::uint32_t fused_map = 0;
   while (true) {
     Request request;
@@ -62,10 +73,15 @@ void CloudPublisher::work() {
     }
     const auto begin = std::chrono::steady_clock::now();
     try {
-      if (request.map_id != fused_map) ground.clear();
+      if (request.map_id != fused_map) {
+        ground.clear();
+        hidden.clear();
+      }
       fused_map = request.map_id;
       ground.update(request.points);
-      const std::vector<CloudPoint> cloud = ground.points();
+      hidden.update(raysOf(request.points));
+      auto cloud = messagePoints(ground.points());
+      for (ros_utils::CloudPoint& point : cloud) point.hidden_from = hidden.hiddenFrom(point.position);
       const std::lock_guard<std::mutex> lock(mutex_);
       if (request.map_id != map_id_) continue;  // its map was given up meanwhile
       publish(request.stamp, cloud);
@@ -76,11 +92,11 @@ void CloudPublisher::work() {
   }
 }
 
-void CloudPublisher::publish(const ros::Time& stamp, const std::vector<CloudPoint>& cloud) {
+void CloudPublisher::publish(const ros::Time& stamp, const std::vector<ros_utils::CloudPoint>& cloud) {
   std_msgs::Header header;
   header.stamp = stamp;
   header.frame_id = frame_;
-  const auto msg = ros_utils::toMsg(messagePoints(cloud), ros_utils::CloudFields::kXyzRgb, header);
+  const auto msg = ros_utils::toMsg(cloud, ros_utils::CloudFields::kXyzRgbHidden, header);
   bytes_ = msg.data.size();
   publisher_.publish(msg);
   latched_ = !cloud.empty();

@@ -44,7 +44,7 @@ class CloudPublisher {
   };
 
   void work();
-  void publish(const ros::Time& stamp, const std::vector<CloudPoint>& cloud);
+  void publish(const ros::Time& stamp, const std::vector<air_ground_common::ros_utils::CloudPoint>& cloud);
 
   const std::string frame_;
   const CloudSettings settings_;

@@ -50,12 +50,13 @@ sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, cons
 /// Grey clouds have r = g = b.
 using CloudPoint = LabeledPoint;
 
-/// Points of a cloud with float x y z and, optionally, packed `rgb`, float `intensity` (0..255) and uint8 `source`.
+/// Points of a cloud with float x y z and, optionally, packed `rgb`, float `intensity` (0..255), uint8 `source` and
+/// float `hidden_from`.
 /// `dropped`, if given, receives the number of those left out: not finite, or a coordinate beyond 1000 km, where no map
 /// is. Throws when x, y, z are missing or of another type.
 std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::size_t* dropped = nullptr);
 
-enum class CloudFields { kXyz, kXyzIntensity, kXyzRgb, kXyzRgbSource };
+enum class CloudFields { kXyz, kXyzIntensity, kXyzRgb, kXyzRgbSource, kXyzRgbHidden };
 sensor_msgs::PointCloud2 toMsg(const std::vector<CloudPoint>& points, CloudFields fields,
                                const std_msgs::Header& header);
 

@@ -1,0 +1,72 @@
+// What the ground robot could not see above what it saw: under a table it sees the floor, and not the table's top. Who
+// looks from above sees that, and contradicts nothing.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <unordered_map>
+#include <vector>
+
+#include "air_ground_common/camera_model.h"
+#include "air_ground_common/geometry.h"
+#include "rgbd_slam/depth_model.h"
+
+namespace rgbd_slam {
+
+/// How far one sees in a depth image, by blocks of pixels.
+struct DepthRays {
+  struct Ray {
+    float x, y;      ///< normalised, of the block's middle
+    float free;      ///< depth up to which there is nothing in any of its pixels [m]; 0: some pixels tell nothing
+    float occupied;  ///< depth of the nearest surface in them [m]
+  };
+  std::vector<Ray> rays;
+
+  DepthRays() = default;
+  /// `depth`: CV_32F [m], NaN or <= 0 where unknown.
+  DepthRays(const air_ground_common::CameraModel& camera, const cv::Mat& depth, const DepthModel& model);
+};
+
+struct PosedRays {
+  air_ground_common::Pose T_map_camera;
+  std::shared_ptr<const DepthRays> rays;
+  int keyframe = -1;
+};
+
+/// Columns of 5 cm in layers of 2 cm, and by how many rays each of these was seen to be free, or was not since a
+/// surface was in the way. One thread uses it.
+class HiddenSpace {
+ public:
+  /// All keyframes as they stand now, each with its number. Those that are new are added; where one has moved by
+  /// some centimetres, or is missing, all are looked at anew, some 10 ms each.
+  void update(const std::vector<PosedRays>& keyframes);
+
+  /// Height in the map from which on a surface hides what is above the point, which has free space above it up to there
+  /// [m]. NaN: nothing hides, or nobody looked, within 1.3 m.
+  float hiddenFrom(const Eigen::Vector3f& point) const;
+
+  void clear();
+
+ private:
+  static constexpr int kSide = 16;    // columns along the edge of a tile
+  static constexpr int kLayers = 64;  // of a tile
+  struct Tile {
+    std::uint8_t free[kSide * kSide][kLayers] = {};
+    std::uint8_t hidden[kSide * kSide][kLayers] = {};
+  };
+  struct Place {
+    std::int64_t tile;
+    int column, layer;
+  };
+  static Place placeOf(int x, int y, int layer);
+  enum class Seen { kNot, kFree, kHidden };
+  Seen at(int x, int y, int layer) const;
+  void add(const PosedRays& keyframe);
+  void mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free);
+
+  std::unordered_map<std::int64_t, std::unique_ptr<Tile>> tiles_;
+  std::unordered_map<int, PosedRays> added_;
+};
+
+}  // namespace rgbd_slam

@@ -1,0 +1,161 @@
+#include "rgbd_slam/hidden_space.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace rgbd_slam {
+
+using air_ground_common::CameraModel;
+using air_ground_common::Pose;
+
+namespace {
+
+constexpr float kColumn = 0.05f;  // edge [m]
+constexpr float kLayer = 0.02f;   // [m]
+constexpr float kStep = 0.02f;    // along a ray [m]
+constexpr float kFarthest = 4;    // rays lie farther apart than columns are wide [m]
+constexpr float kBehind = 0.8f;   // a surface hides what is that near behind it [m]
+constexpr float kAbove = 1.3f;    // of a point, and of the camera: MAVs fly below ceilings, and over tables [m]
+constexpr float kLeast = 0.15f;   // free space over what something hangs over [m]
+constexpr float kNoise = 0.06f;   // right above a point nothing is looked for [m]
+constexpr int kGap = 2;           // layers in which nobody looked
+constexpr int kBlocks = 128;      // of pixels in a row of an image
+constexpr int kSurer = 4;         // rays that a surface stopped, for one that went through: poses are off by a layer
+constexpr double kMoved = 0.025;  // of what a keyframe sees, after which it is taken anew [m]
+
+int floorDivide(int a, int b) { return a >= 0 ? a / b : -((-a + b - 1) / b); }
+
+bool known(float z) { return std::isfinite(z) && z > 0; }
+
+double displacement(const Pose& a, const Pose& b) {
+  return (a.translation() - b.translation()).norm() +
+         kFarthest * air_ground_common::rotationAngle(a.linear(), b.linear());
+}
+
+}  // namespace
+
+DepthRays::DepthRays(const CameraModel& camera, const cv::Mat& depth, const DepthModel& model) {
+  const int block = std::max(1, depth.cols / kBlocks);
+  for (int v = 0; v + block <= depth.rows; v += block) {
+    for (int u = 0; u + block <= depth.cols; u += block) {
+      float nearest = std::numeric_limits<float>::infinity();
+      bool all = true;
+      for (int y = v; y < v + block; ++y) {
+        const float* row = depth.ptr<float>(y);
+        for (int x = u; x < u + block; ++x) {
+          if (known(row[x])) {
+            nearest = std::min(nearest, row[x]);
+          } else {
+            all = false;
+          }
+        }
+      }
+      if (!std::isfinite(nearest) || nearest < model.min_range) continue;
+      const Eigen::Vector2d ray = camera.unproject({u + 0.5 * (block - 1), v + 0.5 * (block - 1)});
+      if (!ray.allFinite()) continue;
+      const auto before = nearest - static_cast<float>(3 * model.sigma(nearest));
+      rays.push_back(
+          {static_cast<float>(ray.x()), static_cast<float>(ray.y()), all ? std::max(before, 0.f) : 0.f, nearest});
+    }
+  }
+}
+
+HiddenSpace::Place HiddenSpace::placeOf(int x, int y, int layer) {
+  const int tx = floorDivide(x, kSide), ty = floorDivide(y, kSide), tz = floorDivide(layer, kLayers);
+  return {(static_cast<std::int64_t>(tz & 0x1fffff) << 42) | (static_cast<std::int64_t>(ty & 0x1fffff) << 21) |
+              (tx & 0x1fffff),
+          (y - ty * kSide) * kSide + x - tx * kSide, layer - tz * kLayers};
+}
+
+void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free) {
+  const Eigen::Vector3f way = to - from;
+  const int steps = static_cast<int>(way.norm() / kStep);
+  Tile* tile = nullptr;
+  std::int64_t key = 0;
+  int last_column = -1, last_layer = 0;
+  for (int i = 0; i <= steps; ++i) {
+    const Eigen::Vector3f p = from + way * (static_cast<float>(i) / static_cast<float>(std::max(steps, 1)));
+    if (p.z() > highest && way.z() >= 0) return;
+    const Place place =
+        placeOf(static_cast<int>(std::floor(p.x() / kColumn)), static_cast<int>(std::floor(p.y() / kColumn)),
+                static_cast<int>(std::floor(p.z() / kLayer)));
+    if (!tile || place.tile != key) {
+      auto& found = tiles_[place.tile];
+      if (!found) found = std::make_unique<Tile>();
+      tile = found.get();
+      key = place.tile;
+      last_column = -1;
+    }
+    if (place.column == last_column && place.layer == last_layer) continue;
+    last_column = place.column;
+    last_layer = place.layer;
+    std::uint8_t& count = (free ? tile->free : tile->hidden)[place.column][place.layer];
+    if (count < 255) ++count;
+  }
+}
+
+void HiddenSpace::add(const PosedRays& keyframe) {
+  const Eigen::Matrix3f R = keyframe.T_map_camera.linear().cast<float>();
+  const Eigen::Vector3f t = keyframe.T_map_camera.translation().cast<float>();
+  const float highest = t.z() + kAbove;
+  for (const DepthRays::Ray& ray : keyframe.rays->rays) {
+    const Eigen::Vector3f direction = R * Eigen::Vector3f(ray.x, ray.y, 1);
+    if (ray.free > 0) mark(t, t + std::min(ray.free, kFarthest) * direction, highest, true);
+    if (ray.occupied > kFarthest) continue;
+    const Eigen::Vector3f surface = t + ray.occupied * direction;
+    if (surface.z() < highest) mark(surface, surface + kBehind * direction.normalized(), highest, false);
+  }
+}
+
+void HiddenSpace::update(const std::vector<PosedRays>& keyframes) {
+  std::size_t stand = 0;
+  for (const PosedRays& k : keyframes) {
+    const auto it = added_.find(k.keyframe);
+    stand += it != added_.end() && it->second.rays == k.rays &&
+             displacement(it->second.T_map_camera, k.T_map_camera) <= kMoved;
+  }
+  if (stand < added_.size()) clear();
+  for (const PosedRays& k : keyframes) {
+    if (k.rays && added_.emplace(k.keyframe, k).second) add(k);
+  }
+}
+
+HiddenSpace::Seen HiddenSpace::at(int x, int y, int layer) const {
+  const Place place = placeOf(x, y, layer);
+  const auto it = tiles_.find(place.tile);
+  if (it == tiles_.end()) return Seen::kNot;
+  const int free = it->second->free[place.column][place.layer], hidden = it->second->hidden[place.column][place.layer];
+  if (hidden > kSurer * free && hidden > 1) return Seen::kHidden;
+  return free > 0 ? Seen::kFree : Seen::kNot;
+}
+
+float HiddenSpace::hiddenFrom(const Eigen::Vector3f& point) const {
+  constexpr float kNothing = std::numeric_limits<float>::quiet_NaN();
+  const int x = static_cast<int>(std::floor(point.x() / kColumn)),
+            y = static_cast<int>(std::floor(point.y() / kColumn));
+  const int last = static_cast<int>(std::floor((point.z() + kAbove) / kLayer));
+  int unseen = 0;
+  for (int layer = static_cast<int>(std::floor((point.z() + kNoise) / kLayer)); layer <= last; ++layer) {
+    switch (at(x, y, layer)) {
+      case Seen::kFree:
+        unseen = 0;
+        break;
+      case Seen::kNot:
+        if (++unseen > kGap) return kNothing;
+        break;
+      case Seen::kHidden: {
+        const float from = kLayer * static_cast<float>(layer - unseen);
+        return from - point.z() < kLeast ? kNothing : from;
+      }
+    }
+  }
+  return kNothing;
+}
+
+void HiddenSpace::clear() {
+  tiles_.clear();
+  added_.clear();
+}
+
+}  // namespace rgbd_slam
