@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 #include "key_table.h"
@@ -90,6 +91,40 @@ std::vector<char> onCeilings(const Cloud& ground, double camera) {
   for (std::size_t i = 0; i < ground.size(); ++i)
     mask[i] = cube_of[i] >= 0 && cubes[static_cast<std::size_t>(cube_of[i])].ceiling &&
               std::abs(ground.normals[i].z()) > kSteep;
+  return mask;
+}
+
+std::vector<char> onUndersides(const std::vector<Eigen::Vector3f>& ground, const std::vector<float>& hidden_from) {
+  constexpr float kCell = 0.05f, kHangs = 0.1f, kAbout = 0.08f;  // of columns; above the floor; the height told [m]
+  if (ground.size() != hidden_from.size())
+    throw std::invalid_argument("onUndersides: as many heights as points are needed");
+  struct Range {
+    float lowest, highest;  // of hidden_from
+    float floor;            // highest point that has it
+  };
+  KeyTable columns;
+  std::vector<Range> ranges;
+  const auto column = [](const Eigen::Vector3f& p) { return cellKey({p.x(), p.y(), 0}, kCell); };
+  for (std::size_t i = 0; i < ground.size(); ++i) {
+    const float from = hidden_from[i];
+    if (std::isnan(from)) continue;
+    const auto k = static_cast<std::size_t>(columns.insert(column(ground[i])));
+    if (k == ranges.size()) ranges.push_back({from, from, ground[i].z()});
+    ranges[k] = {std::min(ranges[k].lowest, from), std::max(ranges[k].highest, from),
+                 std::max(ranges[k].floor, ground[i].z())};
+  }
+  std::vector<char> mask(ground.size(), 0);
+  if (ranges.empty()) return mask;
+  for (std::size_t i = 0; i < ground.size(); ++i) {
+    const Eigen::Vector3f& p = ground[i];
+    for (int n = 0; n < 9 && !mask[i]; ++n) {
+      const Eigen::Vector3f step(static_cast<float>(n % 3 - 1), static_cast<float>(n / 3 - 1), 0);
+      const int k = columns.find(column(p + kCell * step));
+      if (k < 0) continue;
+      const Range& range = ranges[static_cast<std::size_t>(k)];
+      mask[i] = p.z() > range.floor + kHangs && p.z() > range.lowest - kAbout && p.z() < range.highest + kAbout;
+    }
+  }
   return mask;
 }
 

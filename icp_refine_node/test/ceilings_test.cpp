@@ -48,6 +48,26 @@ TEST_F(Room, TheCamerasHeightMayComeAfterTheMap) {
 
 // Terrain is seen from below, too: a hillside above the camera, the top of a step that it stands before. A table stays:
 // its top is where its underside is.
+// A table of 3 cm over a floor, whose edge and underside the ground robot saw, and a wall behind.
+TEST(OnUndersides, AreWhereSomethingHidesWhatIsAboveTheFloor) {
+  const float nothing = std::numeric_limits<float>::quiet_NaN();
+  std::vector<Eigen::Vector3f> points;
+  std::vector<float> hidden_from;
+  const auto add = [&](float x, float z, float from) {
+    points.emplace_back(x, 0.02f, z);
+    hidden_from.push_back(from);
+  };
+  add(0.02f, 0.01f, 0.7f);
+  add(0.02f, 0.71f, nothing);  // underside
+  add(0.07f, 0.72f, nothing);  // where the floor was not seen
+  add(0.02f, 0.3f, nothing);   // a leg
+  add(0.02f, 0.95f, nothing);  // something on the table
+  add(0.3f, 0.71f, nothing);   // a shelf elsewhere
+  add(0.3f, 0.0f, nothing);
+  EXPECT_EQ(onUndersides(points, hidden_from), (std::vector<char>{0, 1, 1, 0, 0, 0, 0}));
+  EXPECT_THROW(onUndersides(points, {nothing}), std::invalid_argument);
+}
+
 TEST(OnCeilings, WhatHasNothingFarBeneathItIsNone) {
   Cloud cloud;
   std::vector<char> expected;

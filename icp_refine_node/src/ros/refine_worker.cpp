@@ -6,6 +6,8 @@
 #include <cmath>
 #include <utility>
 
+#include "icp_refine/ceilings.h"
+
 namespace icp_refine {
 namespace {
 
@@ -15,6 +17,18 @@ Cloud positionsOf(const std::vector<CloudPoint>& points) {
   Cloud cloud;
   cloud.points.reserve(points.size());
   for (const auto& p : points) cloud.points.push_back(p.position);
+  return cloud;
+}
+
+/// Of the ground robot's points those that a MAV can see as they are.
+Cloud groundPositions(const std::vector<CloudPoint>& points) {
+  Cloud cloud = positionsOf(points);
+  std::vector<float> hidden_from;
+  hidden_from.reserve(points.size());
+  for (const auto& p : points) hidden_from.push_back(p.hidden_from);
+  std::vector<char> kept = onUndersides(cloud.points, hidden_from);
+  for (char& below : kept) below = !below;
+  cloud.keep(kept);
   return cloud;
 }
 
@@ -196,7 +210,7 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.ground_moved && !inbox.new_ground) refiner_.groundMoved();
   if (inbox.ground_camera) refiner_.setGroundCamera(*inbox.ground_camera);
   if (inbox.ground) {
-    refiner_.setGround(positionsOf(*inbox.ground));
+    refiner_.setGround(groundPositions(*inbox.ground));
     map_.setGround(std::move(*inbox.ground));
   }
   own_unit_ = inbox.own_unit;
