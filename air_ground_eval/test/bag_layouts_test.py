@@ -174,6 +174,13 @@ class BagLayouts(unittest.TestCase):
         self.assertIn('image:=/snappy_cam/stereo_l camera_info:=/mav/camera/camera_info', output)
         self.assertEqual(output.count('ERROR'), 2, output)
 
+    def test_a_robots_own_odometry_is_no_truth(self):
+        for topic, offered in (('/robot/odom', False), ('/wheels/odometry', False), ('/vio/pose', False), ('/tracker/pose', True)):
+            recording = Recording(self.path(), [('firefly/base_link', 'left'), ('firefly/base_link', 'imu')])
+            recording.camera('/firefly/left/image_raw', 'mono8', 'left').imu('/firefly/imu', 'imu').poses(topic)
+            output = self.check()[1]
+            self.assertEqual('of this type: set mav_truth' in output, offered, output)
+
     def test_an_imu_that_helps_nobody_is_left_out(self):
         """As TUM RGB-D: the accelerometer of a Kinect, mounted nowhere."""
         recording = Recording(self.path(), [('kinect', 'openni')])

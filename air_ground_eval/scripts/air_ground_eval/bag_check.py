@@ -182,6 +182,8 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
                        f'rosrun image_transport republish theora in:={topic} compressed out:={topic}  beside the bag\'s player, and record {topic}/compressed')
     argument = bag_guess.ARGUMENTS[standard]
     similar = [t for t in facts.of_type(*types) if t not in actual.values()]
+    if argument in ('mav_truth', 'ground_truth'):
+        similar = [t for t in similar if bag_guess.TRUTH_WORDS.search(t.lower()) or not bag_guess.OWN_WORDS.search(t.lower())]
     hint = f'; the bag has {", ".join(similar[:4])} of this type: set {argument}:= (here: --map)' if similar else ''
     if standard.endswith('camera_info') and not similar:
         image = actual.get(standard.replace('camera_info', 'image_raw'), standard)

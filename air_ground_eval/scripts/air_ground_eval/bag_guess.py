@@ -19,6 +19,7 @@ ARGUMENTS = {
 MAV_WORDS = re.compile(r'drone|copter|quadrotor|multirotor|hummingbird|firefly|bebop|anafi|(?<![a-z])((mav|uav|dji|px4|airsim)|(quad|air|aerial|fly|flying|iris|tello)(?![a-z]))')
 GROUND_WORDS = re.compile(r'robot|husky|jackal|turtlebot|summit|pioneer|kinect|realsense|(?<![a-z])(ground|ugv|rover|tb3)')
 TRUTH_WORDS = re.compile(r'truth|vicon|vrpn|mocap|leica|optitrack|qualisys|natnet|(?<![a-z])gt(?![a-z])')
+OWN_WORDS = re.compile(r'odom|wheel|slam|ekf|(?<![a-z])vi?o(?![a-z])')  # a robot's own estimate, which is no truth
 LIDAR_WORDS = re.compile(r'ouster|lidar|livox|velodyne|(?<![a-z])os[01]')
 NO_WORDS = re.compile(r'(?!)')
 DOWN_WORDS = re.compile(r'down|bottom|nadir|belly')
