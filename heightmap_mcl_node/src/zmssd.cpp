@@ -63,6 +63,17 @@ std::vector<float> greatestNear(const std::vector<float>& values, int width, int
   return out;
 }
 
+/// Whether much of what lies within `edge` cells was not seen: the map's rim, or that of a hole. What stands there may
+/// begin at the next cell.
+bool atRim(const HeightMap& map, int row, int column, int edge) {
+  constexpr double kUnseen = 0.35;  // of those cells; along a straight rim two fifths or more
+  int unseen = 0;
+  for (int r = row - edge; r <= row + edge; ++r)
+    for (int c = column - edge; c <= column + edge; ++c)
+      unseen += r < 0 || c < 0 || r >= map.height || c >= map.width || std::isnan(map.at(r, c));
+  return unseen > kUnseen * (2 * edge + 1) * (2 * edge + 1);
+}
+
 /// The same with what lies within `edge` cells, where there is a step.
 CellHeight heightNear(const HeightMap& map, int row, int column, double base, int edge) {
   const auto cell = [&map](int r, int c) { return static_cast<std::size_t>(r) * map.width + c; };
@@ -80,6 +91,7 @@ CellHeight heightNear(const HeightMap& map, int row, int column, double base, in
     height.low = low;
     height.high = high;
   }
+  if (atRim(map, row, column, edge)) height.high = kNoLimit;
   return height;
 }
 
@@ -165,7 +177,9 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, 
       cells.y.push_back(static_cast<float>(q.y()));
       cells.h.push_back(static_cast<float>(height.value));
       cells.low.push_back(-(step ? minus_low_near[i] : minus_low[i]));
-      cells.high.push_back(step ? high_near[i] : high[i]);
+      cells.high.push_back(atRim(air, row, column, edge) ? static_cast<float>(kNoLimit)
+                           : step                        ? high_near[i]
+                                                         : high[i]);
       sum += height.value;
     }
   }

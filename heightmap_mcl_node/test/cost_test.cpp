@@ -103,27 +103,39 @@ TEST(Zmssd, WhatExplainsNothingHasNoPartners) {
 }
 
 TEST(Zmssd, ACellByAnEdgeIsAsHighAsAnythingThere) {
-  // A box of 1 m, drawn one cell too far to the right in the aerial map.
-  HeightMap ground;
-  ground.resolution = 1;
-  ground.width = 8;
-  ground.height = 1;
-  ground.heights = {0, 0, 0, 0, 1, 1, 1, 1};
-  HeightMap air = ground;
-  air.heights = {5, 5, 5, 5, 5, 6, 6, 6};
+  // A box of 1 m, drawn one cell too far to the right in the aerial map, which goes on beyond the ground map.
+  const auto mapOf = [](int border, const std::vector<float>& row) {
+    HeightMap map;
+    map.resolution = 1;
+    map.origin_x = map.origin_y = -border;
+    map.width = 8 + 2 * border;
+    map.height = 1 + 2 * border;
+    for (int r = 0; r < map.height; ++r)
+      for (int c = 0; c < map.width; ++c)
+        map.heights.push_back(row[static_cast<std::size_t>(std::clamp(c - border, 0, 7))]);
+    return map;
+  };
+  const HeightMap ground = mapOf(0, {0, 0, 0, 0, 1, 1, 1, 1});
+  HeightMap air = mapOf(3, {5, 5, 5, 5, 5, 6, 6, 6});
   const auto cost = [&](int edge) {
     return zmssdReference(air, ground, Eigen::Vector2d::Zero(), {0, 0, 0}, {0.5, 0}, edge).cost;
   };
-  // Aerial heights are above their mean, 5.375, ground heights above 0.5: d = 0.125 but at cell 4, where it is -0.875.
+  // Less its mean d is 0.125, but at cell 4, where it is -0.875.
   EXPECT_NEAR(cost(0), (7 * 0.125 * 0.125 + 0.875 * 0.875) / 16, 1e-9);
   // Cells 4 and 5 may be either; the others differ by 0.125 all, which is the mean.
   EXPECT_NEAR(cost(1), 0, 1e-9);
   // Where the aerial map shows floor alone, the box is missed as much as before.
-  air.heights = {5, 5, 5, 5, 5, 5, 5, 5};
+  air = mapOf(3, {5, 5, 5, 5, 5, 5, 5, 5});
   EXPECT_NEAR(cost(1), cost(0), 1e-9);
   // And a step within the noise is none.
-  air.heights = {5, 5.05f, 5, 5.05f, 5, 5.05f, 5, 5.05f};
+  air = mapOf(3, {5, 5.05f, 5, 5.05f, 5, 5.05f, 5, 5.05f});
   EXPECT_NEAR(cost(1), cost(0), 1e-9);
+  // Where the aerial map ends its last cell may be higher, as the ground map has it, and no other.
+  air = mapOf(3, {5, 5, 5, 5, 5, kHole, kHole, kHole});
+  EXPECT_GT(cost(0), 0.05);
+  EXPECT_NEAR(cost(2), 0, 1e-9);
+  air = mapOf(3, {5, 5, 5, 5, 5, 5, kHole, kHole});
+  EXPECT_GT(cost(2), 0.05);
 }
 
 class KernelMatchesReference : public ::testing::TestWithParam<Cells> {};

@@ -119,7 +119,7 @@ struct AerialCells {
   Eigen::Vector2d reference = Eigen::Vector2d::Zero();  ///< in the aerial frame [m]
 };
 /// A bound's height above base is that of its level. Cells that have an edge, a step of more than kEdgeStep, within
-/// `edge` cells may be as high as anything there.
+/// `edge` cells may be as high as anything there; those around which much was not seen, at least so high.
 AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, int edge = 0);
 constexpr double kEdgeStep = 0.1;  // [m]
 /// The same cells relative to another point.
