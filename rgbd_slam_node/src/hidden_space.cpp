@@ -13,18 +13,16 @@ namespace {
 
 constexpr float kColumn = 0.05f;  // edge [m]
 constexpr float kLayer = 0.02f;   // [m]
-constexpr float kStep = 0.02f;    // along a ray [m]
+constexpr float kStep = 0.035f;   // along a ray in plan, where it does not pass a layer sooner [m]
 constexpr float kFarthest = 4;    // rays lie farther apart than columns are wide [m]
 constexpr float kBehind = 0.8f;   // a surface hides what is that near behind it [m]
 constexpr float kAbove = 1.3f;    // of a point, and of the camera: MAVs fly below ceilings, and over tables [m]
 constexpr float kLeast = 0.15f;   // free space over what something hangs over [m]
 constexpr float kNoise = 0.06f;   // right above a point nothing is looked for [m]
 constexpr int kGap = 2;           // layers in which nobody looked
-constexpr int kBlocks = 128;      // of pixels in a row of an image
+constexpr int kBlocks = 96;       // of pixels in a row of an image
 constexpr int kSurer = 4;         // rays that a surface stopped, for one that went through: poses are off by a layer
 constexpr double kMoved = 0.025;  // of what a keyframe sees, after which it is taken anew [m]
-
-int floorDivide(int a, int b) { return a >= 0 ? a / b : -((-a + b - 1) / b); }
 
 bool known(float z) { return std::isfinite(z) && z > 0; }
 
@@ -62,15 +60,16 @@ DepthRays::DepthRays(const CameraModel& camera, const cv::Mat& depth, const Dept
 }
 
 HiddenSpace::Place HiddenSpace::placeOf(int x, int y, int layer) {
-  const int tx = floorDivide(x, kSide), ty = floorDivide(y, kSide), tz = floorDivide(layer, kLayers);
+  // Shifts round down, of what is negative, too.
+  const int tx = x >> kSideBits, ty = y >> kSideBits, tz = layer >> kLayerBits;
   return {(static_cast<std::int64_t>(tz & 0x1fffff) << 42) | (static_cast<std::int64_t>(ty & 0x1fffff) << 21) |
               (tx & 0x1fffff),
-          (y - ty * kSide) * kSide + x - tx * kSide, layer - tz * kLayers};
+          (y & (kSide - 1)) * kSide + (x & (kSide - 1)), layer & (kLayers - 1)};
 }
 
 void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free) {
   const Eigen::Vector3f way = to - from;
-  const int steps = static_cast<int>(way.norm() / kStep);
+  const int steps = static_cast<int>(std::ceil(std::max(way.head<2>().norm() / kStep, std::abs(way.z()) / kLayer)));
   Tile* tile = nullptr;
   std::int64_t key = 0;
   int last_column = -1, last_layer = 0;

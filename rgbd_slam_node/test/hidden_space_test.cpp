@@ -173,14 +173,14 @@ TEST(DepthRays, WhatIsNotKnownIsNotFree) {
   const CameraModel c = camera();
   cv::Mat depth(c.height, c.width, CV_32F, cv::Scalar(2.0f));
   depth.at<float>(1, 1) = NAN;
-  depth.at<float>(0, 2) = 1.2f;
+  depth.at<float>(0, 3) = 1.2f;
   DepthModel model;
   const DepthRays rays(c, depth, model);
-  ASSERT_EQ(rays.rays.size(), 160u * 120u);
+  ASSERT_EQ(rays.rays.size(), 106u * 80u);
   EXPECT_EQ(rays.rays[0].free, 0);
   EXPECT_FLOAT_EQ(rays.rays[1].occupied, 1.2f);
   EXPECT_NEAR(rays.rays[1].free, 1.2 - 3 * model.sigma(1.2), 1e-6);
-  EXPECT_NEAR(rays.rays[1].x, (2.5 - c.cx) / c.fx, 1e-6);
+  EXPECT_NEAR(rays.rays[1].x, (4 - c.cx) / c.fx, 1e-6);
   depth.setTo(NAN);
   EXPECT_TRUE(DepthRays(c, depth, model).rays.empty());
 }

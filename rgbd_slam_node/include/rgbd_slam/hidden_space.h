@@ -49,8 +49,8 @@ class HiddenSpace {
   void clear();
 
  private:
-  static constexpr int kSide = 16;    // columns along the edge of a tile
-  static constexpr int kLayers = 64;  // of a tile
+  static constexpr int kSideBits = 4, kSide = 1 << kSideBits;      // columns along the edge of a tile
+  static constexpr int kLayerBits = 6, kLayers = 1 << kLayerBits;  // of a tile
   struct Tile {
     std::uint8_t free[kSide * kSide][kLayers] = {};
     std::uint8_t hidden[kSide * kSide][kLayers] = {};
