@@ -14,16 +14,20 @@ namespace {
 
 constexpr float kFarthest = 1e6f;  // [m] beyond it a float cannot tell cells apart
 
+using Bin = std::pair<long, long>;
+
+Bin binOf(const Eigen::Vector3f& p, double edge) {
+  return {static_cast<long>(std::floor(p.x() / edge)), static_cast<long>(std::floor(p.y() / edge))};
+}
+
+bool isUsable(const Eigen::Vector3f& p) { return p.allFinite() && p.cwiseAbs().maxCoeff() <= kFarthest; }
+
 /// Keeps the points of the square of edge `extent` that holds most of them, to a tenth of its edge.
 void keepDensestRegion(std::vector<Eigen::Vector3f>& points, double extent) {
   constexpr long kReach = 5;  // a window is 11 x 11 bins
   const double edge = extent / (2 * kReach + 1);
-  using Bin = std::pair<long, long>;
-  const auto binOf = [edge](const Eigen::Vector3f& p) {
-    return Bin(static_cast<long>(std::floor(p.x() / edge)), static_cast<long>(std::floor(p.y() / edge)));
-  };
   std::map<Bin, std::size_t> bins;
-  for (const auto& p : points) ++bins[binOf(p)];
+  for (const auto& p : points) ++bins[binOf(p, edge)];
   Bin best;
   std::size_t most = 0;
   for (const auto& [bin, count] : bins) {
@@ -40,7 +44,7 @@ void keepDensestRegion(std::vector<Eigen::Vector3f>& points, double extent) {
     }
   }
   const auto outside = [&](const Eigen::Vector3f& p) {
-    const Bin bin = binOf(p);
+    const Bin bin = binOf(p, edge);
     return std::labs(bin.first - best.first) > kReach || std::labs(bin.second - best.second) > kReach;
   };
   points.erase(std::remove_if(points.begin(), points.end(), outside), points.end());
@@ -71,24 +75,20 @@ std::vector<Eigen::Vector3f> withoutHiddenTops(const std::vector<Eigen::Vector3f
   constexpr float kAbove = 0.1f, kAbout = 0.15f;  // the point; where it is hidden from: an edge that was seen [m]
   if (points.size() != hidden_from.size())
     throw std::invalid_argument("withoutHiddenTops: as many heights as points are needed");
-  using Cell = std::pair<long, long>;
-  const auto cellOf = [resolution](const Eigen::Vector3f& p) {
-    return Cell(static_cast<long>(std::floor(p.x() / resolution)), static_cast<long>(std::floor(p.y() / resolution)));
-  };
-  std::map<Cell, std::vector<float>> heights;  // of cells with hidden points
-  const auto usable = [](const Eigen::Vector3f& p) { return p.allFinite() && p.cwiseAbs().maxCoeff() < kFarthest; };
+  const auto isHidden = [&](std::size_t i) { return !std::isnan(hidden_from[i]) && isUsable(points[i]); };
+  std::map<Bin, std::vector<float>> heights;  // of cells with hidden points
   for (std::size_t i = 0; i < points.size(); ++i)
-    if (!std::isnan(hidden_from[i]) && usable(points[i])) heights[cellOf(points[i])];
+    if (isHidden(i)) heights[binOf(points[i], resolution)];
   if (heights.empty()) return points;
   for (const auto& p : points) {
-    if (!usable(p)) continue;
-    const auto cell = heights.find(cellOf(p));
+    if (!isUsable(p)) continue;
+    const auto cell = heights.find(binOf(p, resolution));
     if (cell != heights.end()) cell->second.push_back(p.z());
   }
   std::vector<Eigen::Vector3f> result;
   for (std::size_t i = 0; i < points.size(); ++i) {
-    if (!std::isnan(hidden_from[i]) && usable(points[i])) {
-      const std::vector<float>& cell = heights[cellOf(points[i])];
+    if (isHidden(i)) {
+      const std::vector<float>& cell = heights[binOf(points[i], resolution)];
       const bool seen = std::any_of(cell.begin(), cell.end(),
                                     [&](float z) { return z > points[i].z() + kAbove && z < hidden_from[i] + kAbout; });
       if (!seen) continue;
@@ -105,7 +105,7 @@ HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const Heigh
   std::vector<Eigen::Vector3f> valid;
   valid.reserve(points.size());
   for (const auto& p : points) {
-    if (p.allFinite() && p.cwiseAbs().maxCoeff() <= kFarthest) valid.push_back(p);
+    if (isUsable(p)) valid.push_back(p);
   }
   HeightMap map;
   map.resolution = settings.resolution;

@@ -7,9 +7,9 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kReach = 1.0;           // of the offsets [s]
-constexpr double kStep = 0.05;           // between them, from which the nearest minimum is found [s]
-constexpr int kOffsets = 41;             // from -kReach to kReach
+constexpr double kReach = 1.0;  // of the offsets [s]
+constexpr double kStep = 0.05;  // between them, from which the nearest minimum is found [s]
+constexpr int kOffsets = static_cast<int>(2 * kReach / kStep + 1.5);
 constexpr double kApart = 0.1;           // offsets of different minima [s]
 constexpr std::size_t kLeastPairs = 12;  // that have samples whatever the offset is
 

@@ -105,37 +105,34 @@ void ImuAlignment::restartAt(double time_offset) {
   if (mounting_alignment_) mounting_alignment_->restartAt(time_offset);
   imu_.setOffset(time_offset);
   shutter_open_ = false;
-  last_guess_ = last_clock_search_ = -1;
+  last_guess_ = -1;
   right_angles_.reset();
-  clock_search_.reset();
-  clocks_apart_.reset();
-  clocks_compared_ = false;
-  clock_searches_ = 0;
+  clocks_ = {};
 }
 
 bool ImuAlignment::clockSearchDue(double stamp, bool metric) const {
-  if (settings_.gyro_alignment.time_offset_stddev <= 0 || stamp - last_clock_search_ < kClockInterval) return false;
-  if (clocks_apart_ || (!clocks_compared_ && clock_searches_ < kMostClockSearches)) return true;
+  if (settings_.gyro_alignment.time_offset_stddev <= 0 || stamp - clocks_.last < kClockInterval) return false;
+  if (clocks_.apart || (!clocks_.compared && clocks_.searches < kMostClockSearches)) return true;
   return !metric && (trusted().misfit() > kGoodMisfit || !clockProblem().empty());
 }
 
 bool ImuAlignment::findClock(double stamp, bool metric) {
-  if (!clock_search_) {
+  if (!clocks_.search) {
     if (!clockSearchDue(stamp, metric)) return false;
-    clock_search_ = ClockSearch::begin(shutter_alignment_ ? *shutter_alignment_ : gyro_alignment_, imu_.buffer());
-    if (!clock_search_) return false;
-    last_clock_search_ = stamp;
-    ++clock_searches_;
+    clocks_.search = ClockSearch::begin(shutter_alignment_ ? *shutter_alignment_ : gyro_alignment_, imu_.buffer());
+    if (!clocks_.search) return false;
+    clocks_.last = stamp;
+    ++clocks_.searches;
   }
-  if (!clock_search_->advance(kOffsetsPerImage)) return false;
-  const auto found = clock_search_->found(), before = std::exchange(clocks_apart_, std::nullopt);
-  clock_search_.reset();
+  if (!clocks_.search->advance(kOffsetsPerImage)) return false;
+  const auto found = clocks_.search->found(), before = std::exchange(clocks_.apart, std::nullopt);
+  clocks_.search.reset();
   if (!found) return false;
   if (std::abs(*found - gyro_alignment_.givenTimeOffset()) < kClockReach) {
-    clocks_compared_ = true;
+    clocks_.compared = true;
     return false;
   }
-  clocks_apart_ = found;
+  clocks_.apart = found;
   if (!before || std::abs(*before - *found) > kSameClock) return false;
   restartAt(*found);
   return true;

@@ -76,8 +76,8 @@ class ImuAlignment {
   std::string problem() const;  ///< empty: gyro and images agree
   /// Empty: the samples cover most images, or there never were any.
   const std::string& coverageProblem() const { return coverage_.problem(); }
-  /// Empty: how far the clocks are apart is known well enough for a scale; else what is missing. Clocks that are
-  /// farther apart than is looked for end in a false minimum, which never gets sure.
+  /// Empty: how far the clocks are apart is known well enough for a scale; else what is missing. Those of clocks
+  /// that are farther apart than is looked for end in a false minimum, which mostly never gets sure.
   std::string clockProblem() const;
 
   double imuStamp(double image_stamp) const { return imu_.stamp(image_stamp); }
@@ -112,11 +112,13 @@ class ImuAlignment {
   bool metric_ = false;
   double last_guess_ = -1;                       ///< of right angles [s]
   std::optional<Eigen::Matrix3d> right_angles_;  ///< R_given_imu by which gyro and images would agree
-  std::optional<ClockSearch> clock_search_;      ///< under way
-  double last_clock_search_ = -1;                ///< [s]
-  int clock_searches_ = 0;                       ///< since the beginning
-  bool clocks_compared_ = false;                 ///< over a second to either side, and as taken to be
-  std::optional<double> clocks_apart_;           ///< as found once, to be found again [s]
+  struct {
+    std::optional<ClockSearch> search;  ///< under way
+    double last = -1;                   ///< when the last one began [s]
+    int searches = 0;
+    bool compared = false;        ///< over a second to either side, and as taken to be
+    std::optional<double> apart;  ///< as found once, to be found again [s]
+  } clocks_;                      ///< that may be far apart
   StandstillDetector standstill_;
   std::optional<UpDirection> up_;
 };

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "rgbd_slam/hidden_space.h"
+
 namespace rgbd_slam {
 
 using Points = std::vector<KeyframeDepth::Point>;
@@ -59,25 +61,24 @@ void DenseKeyframes::moveRows(KeyframeId id, const visual_frontend::RollingShutt
 
 void DenseKeyframes::recalibrate(const CameraModel& camera) {
   finish();
+  // By whose pixel it was made; where that says nothing, as before.
+  const auto recalibrated = [&](const Eigen::Vector3d& p) -> Eigen::Vector3f {
+    const auto pixel = camera_.project(p);
+    if (!pixel) return p.cast<float>();
+    const Eigen::Vector2d ray = camera.unproject(*pixel);
+    return (ray.allFinite() ? Eigen::Vector3d(p.z() * ray.homogeneous()) : p).cast<float>();
+  };
   for (auto& entry : points_) {
     auto points = std::make_shared<Points>(*entry.second);
-    for (KeyframeDepth::Point& point : *points) {
-      const Eigen::Vector3d p = point.position.cast<double>();
-      const auto pixel = camera_.project(p);
-      if (!pixel) continue;
-      const Eigen::Vector2d ray = camera.unproject(*pixel);
-      if (ray.allFinite()) point.position = (p.z() * ray.homogeneous()).cast<float>();
-    }
+    for (KeyframeDepth::Point& point : *points) point.position = recalibrated(point.position.cast<double>());
     entry.second = std::move(points);
   }
   for (auto& entry : rays_) {
     auto rays = std::make_shared<DepthRays>(*entry.second);
     for (DepthRays::Ray& ray : rays->rays) {
-      const auto pixel = camera_.project({ray.x, ray.y, 1});
-      const Eigen::Vector2d now = pixel ? camera.unproject(*pixel) : Eigen::Vector2d(ray.x, ray.y);
-      if (!now.allFinite()) continue;
-      ray.x = static_cast<float>(now.x());
-      ray.y = static_cast<float>(now.y());
+      const Eigen::Vector3f now = recalibrated({ray.x, ray.y, 1});
+      ray.x = now.x();
+      ray.y = now.y();
     }
     entry.second = std::move(rays);
   }

@@ -110,7 +110,7 @@ void DepthCarrier::carryRow(const cv::Mat& depth, int v, const std::vector<Node>
       const float x = static_cast<float>(u) + between(a.far_x, b.far_x),
                   y = static_cast<float>(v) + between(a.far_y, b.far_y), along_x = between(a.near_x, b.near_x),
                   along_y = between(a.near_y, b.near_y), scale = between(a.scale, b.scale);
-      if (here[u] > 0 && std::isfinite(here[u])) inverse = 1 / here[u];
+      if (isKnown(here[u])) inverse = 1 / here[u];
       out[u] = kNaN;
       for (int round = 0; round < kRounds; ++round) {
         const float z = scale * (depthAt(depth, x + along_x * inverse, y + along_y * inverse) + offset);

@@ -44,7 +44,7 @@ double medianDepth(const cv::Mat& depth) {
   std::vector<float> known;
   for (int v = 0; v < depth.rows; v += kStride)
     for (int u = 0; u < depth.cols; u += kStride)
-      if (const float z = depth.at<float>(v, u); std::isfinite(z) && z > 0) known.push_back(z);
+      if (const float z = depth.at<float>(v, u); isKnown(z)) known.push_back(z);
   if (known.size() < kEnough) return std::numeric_limits<double>::quiet_NaN();
   return air_ground_common::median(std::move(known));
 }

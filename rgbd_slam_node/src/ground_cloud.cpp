@@ -26,8 +26,6 @@ void CloudSettings::validate() const {
 
 namespace {
 
-bool known(float z) { return std::isfinite(z) && z > 0; }
-
 /// Pixels from one cell to the next: images larger than 640x480 give no more cells than all pixels of one such.
 int strideFor(const cv::Size& size, int wanted) {
   constexpr int kMostCells = 640 * 480;
@@ -44,11 +42,11 @@ cv::Mat edges(const cv::Mat& depth, const DepthModel& model, double fx, double m
     const float* row = depth.ptr<float>(v);
     const float* below = depth.ptr<float>(v + 1);
     for (int u = 0; u + 1 < depth.cols; ++u) {
-      if (!known(row[u])) continue;
+      if (!isKnown(row[u])) continue;
       const double limit = 3 * model.sigma(row[u]) + slope * row[u];
-      if (known(row[u + 1]) && std::abs(row[u + 1] - row[u]) > limit)
+      if (isKnown(row[u + 1]) && std::abs(row[u + 1] - row[u]) > limit)
         mask.at<std::uint8_t>(v, u) = mask.at<std::uint8_t>(v, u + 1) = 255;
-      if (known(below[u]) && std::abs(below[u] - row[u]) > limit)
+      if (isKnown(below[u]) && std::abs(below[u] - row[u]) > limit)
         mask.at<std::uint8_t>(v, u) = mask.at<std::uint8_t>(v + 1, u) = 255;
     }
   }
@@ -78,7 +76,7 @@ KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, co
     int count = 0;
     for (int i = -kMean; i <= kMean; ++i) {
       const float z = vertical ? depth.at<float>(v + i, u) : depth.at<float>(v, u + i);
-      if (!known(z)) continue;
+      if (!isKnown(z)) continue;
       sum += z;
       ++count;
     }
@@ -88,10 +86,10 @@ KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, co
   for (int v = kReach; v < depth.rows - kReach; v += stride) {
     for (int u = kReach; u < depth.cols - kReach; u += stride) {
       const float z = depth.at<float>(v, u);
-      if (!known(z) || z < model.min_range || z > max_range || edge.at<std::uint8_t>(v, u)) continue;
+      if (!isKnown(z) || z < model.min_range || z > max_range || edge.at<std::uint8_t>(v, u)) continue;
       const float zl = meanDepth(u - kReach, v, true), zr = meanDepth(u + kReach, v, true),
                   zu = meanDepth(u, v - kReach, false), zd = meanDepth(u, v + kReach, false);
-      if (!known(zl) || !known(zr) || !known(zu) || !known(zd)) continue;
+      if (!isKnown(zl) || !isKnown(zr) || !isKnown(zu) || !isKnown(zd)) continue;
       const Eigen::Vector2d ray = camera.unproject(Eigen::Vector2d(u, v));
       const double dx = kReach / camera.fx, dy = kReach / camera.fy;
       const Eigen::Vector3d right((ray.x() + dx) * zr - (ray.x() - dx) * zl, ray.y() * (zr - zl), zr - zl);
@@ -139,7 +137,7 @@ void KeyframeDepth::fuse(const CameraModel& camera, const cv::Mat& depth, const 
     const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
     if (u < 0 || v < 0 || u >= depth.cols || v >= depth.rows) continue;
     const float z = depth.at<float>(v, u);
-    if (!known(z) || z < model.min_range || z > model.max_range) continue;
+    if (!isKnown(z) || z < model.min_range || z > model.max_range) continue;
     const float sigma = static_cast<float>(model.sigma(z)), difference = z - expected;
     // The surface may rise within the pixel: that much is no disagreement.
     const float slack = static_cast<float>(settings.gate) * sigma + 0.5f * z / static_cast<float>(camera.fx) * 3.f;

@@ -4,10 +4,11 @@
 #include <cmath>
 #include <limits>
 
+#include "displacement.h"
+
 namespace rgbd_slam {
 
 using air_ground_common::CameraModel;
-using air_ground_common::Pose;
 
 namespace {
 
@@ -24,13 +25,6 @@ constexpr int kBlocks = 96;       // of pixels in a row of an image
 constexpr int kSurer = 4;         // rays that a surface stopped, for one that went through: poses are off by a layer
 constexpr double kMoved = 0.025;  // of what a keyframe sees, after which it is taken anew [m]
 
-bool known(float z) { return std::isfinite(z) && z > 0; }
-
-double displacement(const Pose& a, const Pose& b) {
-  return (a.translation() - b.translation()).norm() +
-         kFarthest * air_ground_common::rotationAngle(a.linear(), b.linear());
-}
-
 }  // namespace
 
 DepthRays::DepthRays(const CameraModel& camera, const cv::Mat& depth, const DepthModel& model) {
@@ -42,7 +36,7 @@ DepthRays::DepthRays(const CameraModel& camera, const cv::Mat& depth, const Dept
       for (int y = v; y < v + block; ++y) {
         const float* row = depth.ptr<float>(y);
         for (int x = u; x < u + block; ++x) {
-          if (known(row[x])) {
+          if (isKnown(row[x])) {
             nearest = std::min(nearest, row[x]);
           } else {
             all = false;
@@ -94,7 +88,7 @@ void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, f
   }
 }
 
-void HiddenSpace::add(const PosedRays& keyframe) {
+void HiddenSpace::add(const Added& keyframe) {
   const Eigen::Matrix3f R = keyframe.T_map_camera.linear().cast<float>();
   const Eigen::Vector3f t = keyframe.T_map_camera.translation().cast<float>();
   const float highest = t.z() + kAbove;
@@ -107,16 +101,18 @@ void HiddenSpace::add(const PosedRays& keyframe) {
   }
 }
 
-void HiddenSpace::update(const std::vector<PosedRays>& keyframes) {
+void HiddenSpace::update(const std::vector<PosedPoints>& keyframes) {
   std::size_t stand = 0;
-  for (const PosedRays& k : keyframes) {
+  for (const PosedPoints& k : keyframes) {
     const auto it = added_.find(k.keyframe);
     stand += it != added_.end() && it->second.rays == k.rays &&
-             displacement(it->second.T_map_camera, k.T_map_camera) <= kMoved;
+             displacement(it->second.T_map_camera, k.T_map_camera, kFarthest) <= kMoved;
   }
   if (stand < added_.size()) clear();
-  for (const PosedRays& k : keyframes) {
-    if (k.rays && added_.emplace(k.keyframe, k).second) add(k);
+  for (const PosedPoints& k : keyframes) {
+    if (!k.rays) continue;
+    const auto [it, is_new] = added_.emplace(k.keyframe, Added{k.T_map_camera, k.rays});
+    if (is_new) add(it->second);
   }
 }
 

@@ -9,6 +9,7 @@
 #include <tuple>
 #include <unordered_map>
 
+#include "displacement.h"
 #include "rgbd_slam/ground_cloud.h"
 
 namespace rgbd_slam {
@@ -68,11 +69,6 @@ struct Fused {
 };
 
 int floorDivide(int a, int b) { return a >= 0 ? a / b : -((-a + b - 1) / b); }
-
-/// Largest distance that a point within `range` of the camera moves.
-double displacement(const Pose& a, const Pose& b, double range) {
-  return (a.translation() - b.translation()).norm() + range * air_ground_common::rotationAngle(a.linear(), b.linear());
-}
 
 /// Largest weight within kReach voxels of a place of the block in the middle.
 float largestAround(const std::vector<float>& padded, int x, int y, int z) {

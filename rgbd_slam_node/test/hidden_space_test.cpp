@@ -66,18 +66,19 @@ cv::Mat render(const std::vector<Box>& scene, const Pose& T_map_camera, unsigned
 }
 
 /// Round the place, looking at it.
-std::vector<PosedRays> roundTrip(const std::vector<Box>& scene, const Eigen::Vector2d& middle, double radius,
-                                 double height, double pose_noise) {
+std::vector<PosedPoints> roundTrip(const std::vector<Box>& scene, const Eigen::Vector2d& middle, double radius,
+                                   double height, double pose_noise) {
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
-  std::vector<PosedRays> keyframes;
+  std::vector<PosedPoints> keyframes;
   for (int i = 0; i < 16; ++i) {
     const double a = 2 * M_PI * i / 16;
     const Pose T =
         cameraAt({middle.x() + radius * std::cos(a), middle.y() + radius * std::sin(a), height}, a + M_PI, 0.15);
     Pose told = T;
     for (int k = 0; k < 3; ++k) told.translation()[k] += pose_noise * normal(random);
-    keyframes.push_back({told, std::make_shared<const DepthRays>(camera(), render(scene, T, i), DepthModel{}), i});
+    keyframes.push_back(
+        {told, nullptr, i, std::make_shared<const DepthRays>(camera(), render(scene, T, i), DepthModel{})});
   }
   return keyframes;
 }
@@ -152,10 +153,10 @@ TEST(HiddenSpace, FollowsItsKeyframes) {
   auto keyframes = roundTrip(scene, {0, 0}, 1.6, 0.35, 0);
   HiddenSpace at_once, grown;
   const Eigen::Vector3d shift(0.5, -0.4, 0.2);
-  for (PosedRays& k : keyframes) k.T_map_camera.pretranslate(-shift);
+  for (PosedPoints& k : keyframes) k.T_map_camera.pretranslate(-shift);
   grown.update({keyframes.begin(), keyframes.begin() + 5});
   grown.update(keyframes);
-  for (PosedRays& k : keyframes) k.T_map_camera.pretranslate(shift);
+  for (PosedPoints& k : keyframes) k.T_map_camera.pretranslate(shift);
   grown.update(keyframes);
   at_once.update(keyframes);
   for (double x = -1; x < 1; x += 0.03) {

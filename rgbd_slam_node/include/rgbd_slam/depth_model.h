@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 #include <opencv2/core/mat.hpp>
 #include <optional>
 #include <string>
@@ -18,6 +19,9 @@ struct DepthModel {
   /// Throws std::invalid_argument, naming the field.
   void validate() const;
 };
+
+/// Of a pixel of a depth image [m].
+inline bool isKnown(float z) { return std::isfinite(z) && z > 0; }
 
 /// Depth [m] at a pixel of a CV_32F image (NaN or <= 0 = unknown): median of the 3x3 neighbourhood. Empty where fewer
 /// than five of the nine are known, outside the range, or at a depth edge (spread beyond 4 sigma plus 2 % of z).

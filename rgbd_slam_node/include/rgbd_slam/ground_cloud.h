@@ -11,7 +11,6 @@
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/mesh.h"
 #include "rgbd_slam/depth_model.h"
-#include "rgbd_slam/hidden_space.h"
 #include "visual_frontend/rolling_shutter.h"
 
 namespace rgbd_slam {
@@ -63,6 +62,8 @@ class KeyframeDepth {
   std::vector<Cell> cells_;
   int frames_ = 1;
 };
+
+struct DepthRays;  // hidden_space.h
 
 using KeyframePoints = std::shared_ptr<const std::vector<KeyframeDepth::Point>>;
 

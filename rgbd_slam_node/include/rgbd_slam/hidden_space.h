@@ -11,6 +11,7 @@
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/geometry.h"
 #include "rgbd_slam/depth_model.h"
+#include "rgbd_slam/ground_cloud.h"
 
 namespace rgbd_slam {
 
@@ -28,19 +29,13 @@ struct DepthRays {
   DepthRays(const air_ground_common::CameraModel& camera, const cv::Mat& depth, const DepthModel& model);
 };
 
-struct PosedRays {
-  air_ground_common::Pose T_map_camera;
-  std::shared_ptr<const DepthRays> rays;
-  int keyframe = -1;
-};
-
 /// Columns of 5 cm in layers of 2 cm, and by how many rays each of these was seen to be free, or was not since a
 /// surface was in the way. One thread uses it.
 class HiddenSpace {
  public:
-  /// All keyframes as they stand now, each with its number. Those that are new are added; where one has moved by
-  /// some centimetres, or is missing, all are looked at anew, some 10 ms each.
-  void update(const std::vector<PosedRays>& keyframes);
+  /// The rays of all keyframes as they stand now, each with its number. Those that are new are added; where one has
+  /// moved by some centimetres, or is missing, all are looked at anew, some 10 ms each.
+  void update(const std::vector<PosedPoints>& keyframes);
 
   /// Height in the map from which on a surface hides what is above the point, which has free space above it up to there
   /// [m]. NaN: nothing hides, or nobody looked, within 1.3 m.
@@ -62,11 +57,15 @@ class HiddenSpace {
   static Place placeOf(int x, int y, int layer);
   enum class Seen { kNot, kFree, kHidden };
   Seen at(int x, int y, int layer) const;
-  void add(const PosedRays& keyframe);
+  struct Added {
+    air_ground_common::Pose T_map_camera;
+    std::shared_ptr<const DepthRays> rays;
+  };
+  void add(const Added& keyframe);
   void mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free);
 
   std::unordered_map<std::int64_t, std::unique_ptr<Tile>> tiles_;
-  std::unordered_map<int, PosedRays> added_;
+  std::unordered_map<int, Added> added_;  // by number
 };
 
 }  // namespace rgbd_slam

@@ -3,6 +3,8 @@
 #include <chrono>
 #include <utility>
 
+#include "rgbd_slam/hidden_space.h"
+
 namespace rgbd_slam {
 
 namespace ros_utils = air_ground_common::ros_utils;
@@ -15,16 +17,6 @@ std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& 
   }
   return points;
 }
-
-namespace {
-
-std::vector<PosedRays> raysOf(const std::vector<PosedPoints>& keyframes) {
-  std::vector<PosedRays> rays;
-  for (const PosedPoints& k : keyframes) rays.push_back({k.T_map_camera, k.rays, k.keyframe});
-  return rays;
-}
-
-}  // namespace
 
 CloudPublisher::CloudPublisher(ros::NodeHandle handle, const std::string& topic, const std::string& frame,
                                const CloudSettings& settings, ros_utils::NodeHealth& health)
@@ -79,7 +71,7 @@ void CloudPublisher::work() {
       }
       fused_map = request.map_id;
       ground.update(request.points);
-      hidden.update(raysOf(request.points));
+      hidden.update(request.points);
       auto cloud = messagePoints(ground.points());
       for (ros_utils::CloudPoint& point : cloud) point.hidden_from = hidden.hiddenFrom(point.position);
       const std::lock_guard<std::mutex> lock(mutex_);
