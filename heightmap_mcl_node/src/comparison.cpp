@@ -73,8 +73,14 @@ double Comparison::scoreElsewhere(const Agreement& rival) const {
 
 double Comparison::lead(const Agreement& best, const Agreement& rival) const {
   if (!std::isfinite(best.score)) return 0;
-  return logLikelihoodRatio(independentMeasurements(best, settings_), scoreElsewhere(rival) - best.score,
-                            settings_.cutoff);
+  double less = scoreElsewhere(rival) - best.score;
+  if (std::isfinite(rival.cost)) {
+    // Of equal things a robot sees more of one than of the other: that so much falls into holes there and not here
+    // contradicts nothing.
+    constexpr double kHidden = 0.05;  // of the smaller map's cells
+    less -= std::clamp(less - (rival.cost - best.cost), 0.0, kHidden * nothingKnown());
+  }
+  return logLikelihoodRatio(independentMeasurements(best, settings_), less, settings_.cutoff);
 }
 
 }  // namespace heightmap_mcl
