@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
 """soak ends, and says why, where there is nothing to watch; roslaunch is a stand-in."""
 import os
+import struct
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 from unittest import mock
 
@@ -92,6 +94,19 @@ class Soak(unittest.TestCase):
             for arguments, played in (([], ['/mav/camera/image_raw']), (['icp_refine:=false'], ['/alignment/refined', '/mav/camera/image_raw'])):
                 loop = module.Loop(bag_reader.BagFacts(self.bag), 1.0, module.own_topics(arguments))
                 self.assertEqual(sorted(loop.topics), played)
+
+    def test_rounds_follow_each_other_from_now_on(self):
+        module = as_module.load('soak')
+        with mock.patch.object(module, 'rospy') as rospy:
+            rospy.is_shutdown.return_value = False
+            loop = module.Loop(bag_reader.BagFacts(self.bag), 10.0, module.own_topics([]))
+            now = time.time()
+            for _ in range(3):
+                loop.play(lambda: False)
+            played = [call.args[0] for call in rospy.Publisher.return_value.publish.call_args_list[1:]]  # the first is tf_static
+        stamps = [secs + 1e-9 * nsecs for secs, nsecs in (struct.unpack_from('<II', message.recorded, 4) for message in played)]
+        np.testing.assert_allclose(stamps, now + np.concatenate([k * loop.length + np.arange(0, 1, 0.1) for k in range(3)]), atol=0.5)
+        self.assertTrue(np.all(np.diff(stamps) > 0.09))
 
 
 if __name__ == '__main__':
