@@ -13,6 +13,7 @@ namespace mav_vo {
 
 struct Options {
   double begin = 0, end = 12;
+  double period = 0.05;  ///< from image to image [s]
   bool imu = true;
   ImuBias bias{{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}};
   std::function<bool(double)> drop_image = [](double) { return false; };
@@ -28,6 +29,7 @@ struct Options {
   /// The IMU's axes against those that the odometry is told.
   Eigen::Matrix3d R_given_imu = Eigen::Matrix3d::Identity();
   double readout = 0;  ///< of a rolling shutter [s]
+  double tilt = 0;     ///< of the camera, towards where its image's top looks; else it looks straight down [rad]
   bool told = false;   ///< the odometry is told of it
   double radial = 0;   ///< by which the calibration that it is told is larger than the camera's k1
   double replay = 0;   ///< added to all stamps: the recording is played again, time going on [s]
@@ -42,18 +44,27 @@ struct Outcome {
   CameraModel camera;  ///< as the odometry knows it at the end
 };
 
+inline Pose T_imu_camera(const Options& options) {
+  return synthetic::T_imu_camera() * Pose(Eigen::AngleAxisd(options.tilt, Eigen::Vector3d::UnitX()));
+}
+
 /// Strips of a few rows, each from where the camera is when they are read.
 inline cv::Mat renderRows(const synthetic::PlateWorld& world, const Options& options, double t, cv::RNG* grain) {
   constexpr int kRows = 8;
   const auto camera = synthetic::camera();
+  static const std::vector<Eigen::Vector3d> rays = synthetic::PlateWorld::raysOf(camera);
   cv::Mat image(camera.height, camera.width, CV_8U);
   for (int row = 0; row < camera.height; row += kRows) {
     auto strip = camera;
     strip.height = std::min(kRows, camera.height - row);
     strip.cy -= row;
     const double at = t + ((row + 0.5 * strip.height) / camera.height - 0.5) * options.readout;
-    world.render(strip, options.flight.T_world_imu(at) * synthetic::T_imu_camera(), options.gain(t), grain)
-        .copyTo(image.rowRange(row, row + strip.height));
+    const Pose T = options.flight.T_world_imu(at) * T_imu_camera(options);
+    const auto first = rays.begin() + static_cast<std::ptrdiff_t>(row) * camera.width;
+    const cv::Mat rows = options.tilt == 0
+                             ? world.render(strip, T, options.gain(t), grain)
+                             : world.renderByRays(strip, {first, first + strip.height * camera.width}, T, grain);
+    rows.copyTo(image.rowRange(row, row + strip.height));
   }
   return image;
 }
@@ -65,7 +76,7 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
   std::unique_ptr<Odometry> own;
   if (!given) {
     own = std::make_unique<Odometry>(visual_frontend::withRadial(synthetic::camera(), options.radial),
-                                     Pose(options.R_base_body) * synthetic::T_imu_camera(), Pose(options.R_base_body),
+                                     Pose(options.R_base_body) * T_imu_camera(options), Pose(options.R_base_body),
                                      settings);
     given = own.get();
   }
@@ -79,15 +90,15 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
   }
   std::size_t next = 0;
   Outcome outcome;
-  for (int i = 1; options.begin + 0.05 * i <= options.end; ++i) {
-    const double t = options.begin + 0.05 * i;
+  for (int i = 1; options.begin + options.period * i <= options.end; ++i) {
+    const double t = options.begin + options.period * i;
     for (; options.imu && next < samples.size() && samples[next].stamp <= given->imuNeededAt(t + options.replay) + 1e-9;
          ++next) {
       ImuSample sample = samples[next];
       if (options.nan_imu(sample.stamp)) sample.angular_velocity.x() = std::nan("");
       if (!options.silent_imu(sample.stamp)) given->addImu(sample);
     }
-    const Pose T = options.flight.T_world_imu(t) * synthetic::T_imu_camera();
+    const Pose T = options.flight.T_world_imu(t) * T_imu_camera(options);
     outcome.truth.push_back({t, T});
     if (options.drop_image(t)) continue;
     const synthetic::PlateWorld& world = options.elsewhere(t) ? elsewhere : here;
