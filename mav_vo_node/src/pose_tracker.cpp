@@ -24,7 +24,7 @@ constexpr int kLocalKeyframes = 8;        // nearest ones, whose landmarks are l
 constexpr double kEqualShare = 0.6;       // so many of the best motion's landmarks make another one its equal
 constexpr double kOtherMotion = 4.0;      // median shift of the landmarks between two motions that are not one [sigma]
 constexpr double kClearlyNearer = 0.5;    // to the prediction than the other motion
-constexpr double kSteadyReadouts = 6;     // time over which the velocity during an image is averaged [readout times]
+constexpr double kSteadyReadouts = 6;     // time over which the motion during an image is averaged [readout times]
 
 /// How far the landmarks shift in the image between two poses, in the median [sigma].
 double shiftBetween(const Pose& a, const Pose& b, const std::vector<PoseCorrespondence>& points) {
@@ -59,6 +59,7 @@ void PoseTracker::reset() {
   tracker_.reset();
   beginMap(Pose::Identity(), Eigen::Vector3d::Zero());
   turn_rate_.setZero();
+  steady_turn_rate_.setZero();
   intervals_.clear();
   depth_min_ = depth_max_ = 0;
 }
@@ -74,7 +75,7 @@ void PoseTracker::followShutter(double stamp, const Pose& predicted) {
   if (!shutter_.active()) return;
   const double half = 0.5 * std::abs(shutter_.readoutTime());
   const auto turn = turn_(stamp - half, stamp + half);
-  shutter_.setMotion(turn ? Eigen::Vector3d(logSO3(turn->R_a_b) / (2 * half)) : turn_rate_,
+  shutter_.setMotion(turn ? Eigen::Vector3d(logSO3(turn->R_a_b) / (2 * half)) : steady_turn_rate_,
                      predicted.linear().transpose() * steady_velocity_);
 }
 
@@ -252,14 +253,15 @@ void PoseTracker::settle(double stamp, const std::optional<Pose>& T_map_previous
     velocity_.setZero();
     steady_velocity_.setZero();
     turn_rate_.setZero();
+    steady_turn_rate_.setZero();
   } else if (!intervals_.tooShort(dt)) {  // else the camera is taken to go on as before
     velocity_ = (T_map_camera_.translation() - T_map_previous->translation()) / dt;
     turn_rate_ = logSO3(T_map_previous->linear().transpose() * T_map_camera_.linear()) / dt;
     // What is wrong with a pose is wrong with the next one's rows, and that, by as much and more, with its pose: where
-    // an image is read out for more than a third of the time to the next, velocities of two poses swing up within
-    // seconds.
-    const double span = kSteadyReadouts * std::abs(shutter_.readoutTime());
-    steady_velocity_ += dt / std::max(span, dt) * (velocity_ - steady_velocity_);
+    // an image is read out for more than a third of the time to the next, motions of two poses swing up within seconds.
+    const double share = dt / std::max(dt, kSteadyReadouts * std::abs(shutter_.readoutTime()));
+    steady_velocity_ += share * (velocity_ - steady_velocity_);
+    steady_turn_rate_ += share * (turn_rate_ - steady_turn_rate_);
   }
   if (T_map_previous) intervals_.add(dt);
   previous_covariance_ = result_.covariance;

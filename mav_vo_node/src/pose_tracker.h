@@ -88,10 +88,11 @@ class PoseTracker {
   Pose T_map_camera_ = Pose::Identity();
   bool predicted_ = false;  // the pose before locate() is where the motion leads
   double located_stamp_ = -1;
-  visual_frontend::ImageIntervals intervals_;           // of the last images that were located
-  Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();  // of the camera in the map, by its last two poses [unit/s]
-  Eigen::Vector3d steady_velocity_ = Eigen::Vector3d::Zero();  // the same over several, during an image
-  Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();        // of the camera, by its last two poses, own axes [rad/s]
+  visual_frontend::ImageIntervals intervals_;            // of the last images that were located
+  Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   // of the camera in the map, by its last two poses [unit/s]
+  Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();  // of the camera, by its last two poses, own axes [rad/s]
+  /// The same over several images: the motion during one.
+  Eigen::Vector3d steady_velocity_ = Eigen::Vector3d::Zero(), steady_turn_rate_ = Eigen::Vector3d::Zero();
   PoseResult result_;
   Matrix6d previous_covariance_ = Matrix6d::Zero();
   double scene_distance_ = 1, depth_min_ = 0, depth_max_ = 0;
