@@ -24,7 +24,7 @@ constexpr int kLocalKeyframes = 8;        // nearest ones, whose landmarks are l
 constexpr double kEqualShare = 0.6;       // so many of the best motion's landmarks make another one its equal
 constexpr double kOtherMotion = 4.0;      // median shift of the landmarks between two motions that are not one [sigma]
 constexpr double kClearlyNearer = 0.5;    // to the prediction than the other motion
-constexpr double kSteadyReadouts = 6;     // time over which the motion during an image is averaged [readout times]
+constexpr double kSteadyReadouts = 3;     // time over which the motion during an image is averaged [readout times]
 
 /// How far the landmarks shift in the image between two poses, in the median [sigma].
 double shiftBetween(const Pose& a, const Pose& b, const std::vector<PoseCorrespondence>& points) {

@@ -144,7 +144,8 @@ TEST(Recording, HandheldFindsClocksThatAreFarApart) {
   for (ImuSample& sample : folder.imu) sample.stamp += 0.3;
   const Replay shifted = replay(folder, OdometrySettings{}, 0, 30);
   ASSERT_GE(shifted.metric, 0) << shifted.last.reason;
-  EXPECT_NEAR(shifted.last.time_offset, whole.last.time_offset + 0.3, 0.01);
+  // After 30 s the search's seed alone moves it by up to 13 ms; the false minimum is 0.16 s away.
+  EXPECT_NEAR(shifted.last.time_offset, whole.last.time_offset + 0.3, 0.02);
   const auto error = air_ground_common::absoluteTrajectoryError(whole.trajectory, shifted.trajectory,
                                                                 air_ground_common::Alignment::kSimilarity);
   EXPECT_NEAR(error.reference_from_estimate.scale, 1.0, 0.1);
