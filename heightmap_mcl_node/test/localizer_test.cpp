@@ -47,6 +47,11 @@ Outcome play(const synthetic::Run& run, HeightMapLocalizer& localizer) {
   return outcome;
 }
 
+Outcome play(const synthetic::Options& options, const HeightMapLocalizerSettings& settings = {}) {
+  HeightMapLocalizer localizer(settings);
+  return play(synthetic::makeRun(options), localizer);
+}
+
 }  // namespace
 
 class Boxes : public ::testing::TestWithParam<int> {};
@@ -148,9 +153,7 @@ TEST(HeightMapLocalizer, RoomWithWallsIsAligned) {
   int right = 0;
   for (int seed : {201, 202, 203}) {
     options.seed = seed;
-    const auto run = synthetic::makeRun(options);
-    HeightMapLocalizer localizer({});
-    const auto outcome = play(run, localizer);
+    const auto outcome = play(options);
     EXPECT_EQ(outcome.wrong, 0) << "seed " << seed;
     right += outcome.error.position < 0.25 && outcome.error.yaw < 5 * M_PI / 180;
   }
@@ -165,16 +168,14 @@ TEST(HeightMapLocalizer, APlaceWithoutRivalIsAGuessWhereADirectionIsFixedLoosely
     options.aerial_clouds = clouds;
     HeightMapLocalizerSettings settings;
     settings.seed = seed;
-    HeightMapLocalizer localizer(settings);
-    const auto outcome = play(synthetic::makeRun(options), localizer);
+    const auto outcome = play(options, settings);
     EXPECT_TRUE(outcome.last.guess) << outcome.last.reason;
     EXPECT_EQ(outcome.last.status, Status::kDegenerate);
     EXPECT_NE(outcome.last.reason.find("guess"), std::string::npos) << outcome.last.reason;
     EXPECT_LT(outcome.error.position, 0.3);
     EXPECT_LT(outcome.error.yaw, 0.2);
     settings.verdict.guess_ratio = settings.verdict.probe_ratio;
-    HeightMapLocalizer strict(settings);
-    EXPECT_FALSE(play(synthetic::makeRun(options), strict).last.guess);
+    EXPECT_FALSE(play(options, settings).last.guess);
   }
 }
 
@@ -209,8 +210,7 @@ TEST(HeightMapLocalizer, FlatFloorIsDegenerate) {
   options.aerial_clouds = 5;
   for (int seed : {1, 2}) {
     options.seed = seed;
-    HeightMapLocalizer localizer({});
-    const auto outcome = play(synthetic::makeRun(options), localizer);
+    const auto outcome = play(options);
     EXPECT_EQ(outcome.converged, 0);
     EXPECT_EQ(outcome.last.status, Status::kDegenerate) << outcome.last.reason;
     // Nothing but the height is known.
@@ -232,8 +232,7 @@ TEST(HeightMapLocalizer, EndlessRidgeIsNeverConverged) {
     options.seed = seed;
     HeightMapLocalizerSettings settings;
     settings.seed = options.seed;
-    HeightMapLocalizer localizer(settings);
-    const auto outcome = play(synthetic::makeRun(options), localizer);
+    const auto outcome = play(options, settings);
     EXPECT_EQ(outcome.converged + outcome.guesses, 0) << "seed " << seed;
   }
 }
@@ -283,8 +282,7 @@ TEST(HeightMapLocalizer, IdenticalBoxesAreAmbiguous) {
   options.aerial_clouds = 6;
   for (int seed : {1, 2}) {
     options.seed = seed;
-    HeightMapLocalizer localizer({});
-    const auto outcome = play(synthetic::makeRun(options), localizer);
+    const auto outcome = play(options);
     EXPECT_EQ(outcome.converged, 0);
     EXPECT_EQ(outcome.last.status, Status::kAmbiguous) << outcome.last.reason;
     EXPECT_LT(outcome.last.rival_ratio, 1.3);
@@ -305,8 +303,7 @@ TEST(HeightMapLocalizer, WhatWasSeenOfEqualBoxesDoesNotTellThemApart) {
   options.aerial_clouds = 8;
   for (int seed : {834027, 832137}) {
     options.seed = seed;
-    HeightMapLocalizer localizer({});
-    EXPECT_EQ(play(synthetic::makeRun(options), localizer).converged, 0) << seed;
+    EXPECT_EQ(play(options).converged, 0) << seed;
   }
 }
 
@@ -320,13 +317,11 @@ TEST(HeightMapLocalizer, AFewBoxesOnABareFloorAreEnough) {
   for (int seed : {1, 2, 3}) {
     options.seed = seed;
     options.other_world = false;
-    HeightMapLocalizer there({});
-    const auto outcome = play(synthetic::makeRun(options), there);
+    const auto outcome = play(options);
     EXPECT_EQ(outcome.wrong, 0) << seed;
     converged += outcome.last.status == Status::kConverged;
     options.other_world = true;
-    HeightMapLocalizer elsewhere({});
-    EXPECT_EQ(play(synthetic::makeRun(options), elsewhere).converged, 0) << seed;
+    EXPECT_EQ(play(options).converged, 0) << seed;
   }
   EXPECT_GE(converged, 2);
 }

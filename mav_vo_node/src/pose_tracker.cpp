@@ -58,15 +58,14 @@ void PoseTracker::setCamera(const CameraModel& camera) {
 void PoseTracker::reset() {
   tracker_.reset();
   beginMap(Pose::Identity(), Eigen::Vector3d::Zero());
-  turn_rate_.setZero();
-  steady_turn_rate_.setZero();
+  motion_ = steady_ = {};
   intervals_.clear();
   depth_min_ = depth_max_ = 0;
 }
 
 void PoseTracker::beginMap(const Pose& T_map_camera, const Eigen::Vector3d& velocity) {
   T_map_camera_ = T_map_camera;
-  velocity_ = steady_velocity_ = velocity;
+  motion_.velocity = steady_.velocity = velocity;
   located_stamp_ = -1;
   scene_distance_ = 1;
 }
@@ -75,8 +74,8 @@ void PoseTracker::followShutter(double stamp, const Pose& predicted) {
   if (!shutter_.active()) return;
   const double half = 0.5 * std::abs(shutter_.readoutTime());
   const auto turn = turn_(stamp - half, stamp + half);
-  shutter_.setMotion(turn ? Eigen::Vector3d(logSO3(turn->R_a_b) / (2 * half)) : steady_turn_rate_,
-                     predicted.linear().transpose() * steady_velocity_);
+  shutter_.setMotion(turn ? Eigen::Vector3d(logSO3(turn->R_a_b) / (2 * half)) : steady_.turn_rate,
+                     predicted.linear().transpose() * steady_.velocity);
 }
 
 // Where the camera should be at this image, and where its features.
@@ -86,9 +85,10 @@ Pose PoseTracker::predict(double last_stamp, double stamp, bool tracking,
   if (R_previous_current_) prediction->R_current_previous = R_previous_current_->transpose();
   predicted_ = tracking && located_stamp_ == last_stamp;
   if (predicted_) {
-    predicted.translation() += velocity_ * (stamp - located_stamp_);
-    const Eigen::Matrix3d turn =
-        R_previous_current_ ? *R_previous_current_ : air_ground_common::expSO3(turn_rate_ * (stamp - located_stamp_));
+    predicted.translation() += motion_.velocity * (stamp - located_stamp_);
+    const Eigen::Matrix3d turn = R_previous_current_
+                                     ? *R_previous_current_
+                                     : air_ground_common::expSO3(motion_.turn_rate * (stamp - located_stamp_));
     predicted.linear() = T_map_camera_.linear() * turn;
     prediction->R_current_previous = turn.transpose();
   }
@@ -250,18 +250,15 @@ bool PoseTracker::locate(const std::optional<double>& turn_sigma) {
 void PoseTracker::settle(double stamp, const std::optional<Pose>& T_map_previous) {
   const double dt = stamp - located_stamp_;
   if (!T_map_previous) {
-    velocity_.setZero();
-    steady_velocity_.setZero();
-    turn_rate_.setZero();
-    steady_turn_rate_.setZero();
+    motion_ = steady_ = {};
   } else if (!intervals_.tooShort(dt)) {  // else the camera is taken to go on as before
-    velocity_ = (T_map_camera_.translation() - T_map_previous->translation()) / dt;
-    turn_rate_ = logSO3(T_map_previous->linear().transpose() * T_map_camera_.linear()) / dt;
+    motion_.velocity = (T_map_camera_.translation() - T_map_previous->translation()) / dt;
+    motion_.turn_rate = logSO3(T_map_previous->linear().transpose() * T_map_camera_.linear()) / dt;
     // What is wrong with a pose is wrong with the next one's rows, and that, by as much and more, with its pose: where
     // an image is read out for more than a third of the time to the next, motions of two poses swing up within seconds.
     const double share = dt / std::max(dt, kSteadyReadouts * std::abs(shutter_.readoutTime()));
-    steady_velocity_ += share * (velocity_ - steady_velocity_);
-    steady_turn_rate_ += share * (turn_rate_ - steady_turn_rate_);
+    steady_.velocity += share * (motion_.velocity - steady_.velocity);
+    steady_.turn_rate += share * (motion_.turn_rate - steady_.turn_rate);
   }
   if (T_map_previous) intervals_.add(dt);
   previous_covariance_ = result_.covariance;
@@ -285,9 +282,10 @@ void PoseTracker::reobserve(const visual_frontend::ReobservationSettings& how) {
 }
 
 void PoseTracker::coast(double dt) {
-  T_map_camera_.translation() += velocity_ * dt;
-  T_map_camera_.linear() = T_map_camera_.linear() *
-                           (R_previous_current_ ? *R_previous_current_ : air_ground_common::expSO3(turn_rate_ * dt));
+  T_map_camera_.translation() += motion_.velocity * dt;
+  T_map_camera_.linear() =
+      T_map_camera_.linear() *
+      (R_previous_current_ ? *R_previous_current_ : air_ground_common::expSO3(motion_.turn_rate * dt));
 }
 
 void PoseTracker::beginAround(const Pose& T_map_camera, const cv::Mat& gray,
@@ -301,8 +299,7 @@ void PoseTracker::beginAround(const Pose& T_map_camera, const cv::Mat& gray,
 }
 
 void PoseTracker::transform(const air_ground_common::Similarity& S) {
-  velocity_ = S.scale * (S.R * velocity_);
-  steady_velocity_ = S.scale * (S.R * steady_velocity_);
+  for (Motion* motion : {&motion_, &steady_}) motion->velocity = S.scale * (S.R * motion->velocity);
   scene_distance_ *= S.scale;
   depth_min_ *= S.scale;
   depth_max_ *= S.scale;

@@ -47,10 +47,10 @@ class PoseTracker {
   /// With Map::transform; the pose comes with the trajectory.
   void transform(const air_ground_common::Similarity& S_new_old);
 
-  const Pose& pose() const { return T_map_camera_; }      ///< T_map_camera
-  double speed() const { return velocity_.norm(); }       ///< when it was last located [map unit/s]
-  double locatedStamp() const { return located_stamp_; }  ///< of the last image that was located [s]; -1: none
-  const PoseResult& result() const { return result_; }    ///< of locate()
+  const Pose& pose() const { return T_map_camera_; }        ///< T_map_camera
+  double speed() const { return motion_.velocity.norm(); }  ///< when it was last located [map unit/s]
+  double locatedStamp() const { return located_stamp_; }    ///< of the last image that was located [s]; -1: none
+  const PoseResult& result() const { return result_; }      ///< of locate()
   const Matrix6d& previousCovariance() const { return previous_covariance_; }  ///< of the pose before
   double sceneDistance() const { return scene_distance_; }  ///< median depth of the landmarks in view
   double depthMin() const { return depth_min_; }            ///< their 5 % quantile; 0: not known
@@ -88,11 +88,13 @@ class PoseTracker {
   Pose T_map_camera_ = Pose::Identity();
   bool predicted_ = false;  // the pose before locate() is where the motion leads
   double located_stamp_ = -1;
-  visual_frontend::ImageIntervals intervals_;            // of the last images that were located
-  Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   // of the camera in the map, by its last two poses [unit/s]
-  Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();  // of the camera, by its last two poses, own axes [rad/s]
-  /// The same over several images: the motion during one.
-  Eigen::Vector3d steady_velocity_ = Eigen::Vector3d::Zero(), steady_turn_rate_ = Eigen::Vector3d::Zero();
+  visual_frontend::ImageIntervals intervals_;  // of the last images that were located
+  struct Motion {
+    Eigen::Vector3d velocity = Eigen::Vector3d::Zero();   // of the camera in the map [unit/s]
+    Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero();  // of the camera, own axes [rad/s]
+  };
+  Motion motion_;  // by the last two poses
+  Motion steady_;  // over several images: during one
   PoseResult result_;
   Matrix6d previous_covariance_ = Matrix6d::Zero();
   double scene_distance_ = 1, depth_min_ = 0, depth_max_ = 0;

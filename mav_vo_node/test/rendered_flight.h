@@ -29,7 +29,9 @@ struct Options {
   /// The IMU's axes against those that the odometry is told.
   Eigen::Matrix3d R_given_imu = Eigen::Matrix3d::Identity();
   double readout = 0;  ///< of a rolling shutter [s]
-  double tilt = 0;     ///< of the camera, towards where its image's top looks; else it looks straight down [rad]
+  /// Of the camera, towards where its image's top looks; else it looks straight down. With a rolling shutter, without
+  /// gain [rad].
+  double tilt = 0;
   bool told = false;   ///< the odometry is told of it
   double radial = 0;   ///< by which the calibration that it is told is larger than the camera's k1
   double replay = 0;   ///< added to all stamps: the recording is played again, time going on [s]
