@@ -158,13 +158,16 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
   constexpr int kLevels = 4, kCoarseLevels = 2, kMovesPerLevel = 6;
   // Far from the minimum a quarter of the cells says where it lies, or some thousand of a large map, and every
   // neighbour is looked at; near it heading and position hardly interact, and one axis at a time will do.
-  constexpr std::size_t kStride = 4, kEnough = 8192;
+  constexpr std::size_t kStride = 4, kEnough = 8192, kEnoughNear = 65536;
   constexpr int kAxes[] = {4, 10, 12, 14, 16, 22};
   const AerialCells thin = thinned(cells, static_cast<int>(std::max(kStride, cells.h.size() / kEnough)));
+  const auto near_stride = static_cast<int>(cells.h.size() / kEnoughNear);
+  const AerialCells nearer = near_stride > 1 ? thinned(cells, near_stride) : AerialCells();
+  const AerialCells& fine = near_stride > 1 ? nearer : cells;
   // What agrees with the best pose so far says how far the heights lie apart.
   Placement best{start, cost.agreement(thin, start, cost.medianOffset(thin, start), settings)};
   const auto at = [&](const PlanarPose& pose, bool coarse) {
-    return Placement{pose, cost.agreement(coarse ? thin : cells, pose, best.agreement.offset, settings)};
+    return Placement{pose, cost.agreement(coarse ? thin : fine, pose, best.agreement.offset, settings)};
   };
   for (int level = 0; level < kLevels; ++level, step_xy *= 0.5, step_yaw *= 0.5) {
     const bool coarse = level < kCoarseLevels;
@@ -195,6 +198,7 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
                                p.yaw + h_yaw * shift({p.x, p.y, p.yaw - h_yaw}, {p.x, p.y, p.yaw + h_yaw})},
                               false);
   if (vertex.agreement.score <= best.agreement.score) best = vertex;
+  if (near_stride > 1) best.agreement = cost.agreement(cells, best.pose, best.agreement.offset, settings);
   best.pose.yaw = wrapAngle(best.pose.yaw);
   return best;
 }

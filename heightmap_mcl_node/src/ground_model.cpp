@@ -58,7 +58,6 @@ const FftCost& GroundModel::Level::fft() {
 GroundModel::GroundModel(HeightMap map, const HeightMapLocalizerSettings& settings)
     : map_(std::move(map)),
       direct_(map_),
-      coarse_fft_(downsample(map_, settings.coarse_factor)),
       coarse_factor_(settings.coarse_factor),
       variance_(std::pow(heightDeviation(map_), 2)),
       raised_(raisedShare(map_, kRaised * settings.cutoff)) {}

@@ -32,8 +32,6 @@ class GroundModel {
 
   const HeightMap& map() const { return map_; }
   const DirectCost& direct() const { return direct_; }
-  /// In cells that are coarse_factor times as large.
-  const FftCost& coarseFft() const { return coarse_fft_; }
   const FftCost& fullFft();
   /// Cells of the map's longer edge.
   int edge() const { return std::max(map_.width, map_.height); }
@@ -51,7 +49,6 @@ class GroundModel {
  private:
   HeightMap map_;
   DirectCost direct_;
-  FftCost coarse_fft_;
   std::unique_ptr<FftCost> full_fft_;
   int coarse_factor_;
   double variance_, raised_;

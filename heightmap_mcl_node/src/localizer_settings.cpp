@@ -85,7 +85,8 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
     "without IMU the dominant plane within this of the map's z axis is made level; 0: the mounting on tf and a level "
     "start are trusted");
   v("headings", s.headings, {8, 720}, "", "headings of the coarse search over the full circle");
-  v("coarse_factor", s.coarse_factor, {1, 16}, "", "cells of the coarse search are this much larger");
+  v("coarse_factor", s.coarse_factor, {1, 16}, "",
+    "cells of the coarse search are this much larger, of maps with more than 160 of them across more");
 
   v.section("Particles (eq. 4 to 6)");
   v("seed", s.seed, {0, 1 << 30}, "", "same seed, same input: same output");

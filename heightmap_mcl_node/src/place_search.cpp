@@ -15,20 +15,25 @@ using air_ground_common::kDegree;
 constexpr std::size_t kPlaces = 16;
 constexpr std::size_t kPlacesOfFloor = 3;
 constexpr std::size_t kFloors = 4;
+/// Across the larger of the maps in the search over all places: half a step of the heading moves a large map's rim by
+/// far more than one of its cells.
+constexpr int kMostCells = 160;
 
 }  // namespace
 
 CostVolume PlaceSearch::volumeOf(const HeightMap& air) const {
   const auto headings = searchHeadings(settings_.headings, prior_);
   const bool circular = static_cast<int>(headings.size()) == settings_.headings;
-  return computeCostVolume(ground_.coarseFft(), downsample(air, settings_.coarse_factor), headings, circular,
+  const int edge = std::max({ground_.edge(), air.width, air.height});
+  const int factor = std::max(settings_.coarse_factor, (edge + kMostCells - 1) / kMostCells);
+  return computeCostVolume(ground_.level(factor).fft(), downsample(air, factor), headings, circular,
                            comparison_.costFor(air));
 }
 
 std::vector<Placement> PlaceSearch::placesOf(const CostVolume& volume, std::size_t count, const AerialCells& cells,
                                              const CostSettings& cost) const {
   return placesOfMinima(volume, count, settings_.rival.distance, settings_.rival.angle, prior_, ground_.direct(), cells,
-                        settings_.coarse_factor * ground_.map().resolution, M_PI / settings_.headings, cost);
+                        volume.slices.front().resolution, M_PI / settings_.headings, cost);
 }
 
 Placement PlaceSearch::bestPlacement(const HeightMap& map, const CostVolume& volume) const {

@@ -35,11 +35,11 @@ struct PlaceHints {
 /// Holds references: not to be kept.
 class PlaceSearch {
  public:
-  PlaceSearch(const HeightMapLocalizerSettings& settings, const GroundModel& ground, const Prior& prior,
+  PlaceSearch(const HeightMapLocalizerSettings& settings, GroundModel& ground, const Prior& prior,
               const Comparison& comparison)
       : settings_(settings), ground_(ground), prior_(prior), comparison_(comparison) {}
 
-  /// In cells that are coarse_factor times as large.
+  /// In cells that are coarse_factor times as large, of large maps more.
   CostVolume volumeOf(const HeightMap& air) const;
   /// `merged`: on its own floor.
   FloorChoice chooseFloor(const HeightMap& merged) const;
@@ -57,7 +57,7 @@ class PlaceSearch {
   Eigen::Vector2d overlapCenter(const AerialCells& cells, const PlanarPose& pose) const;
 
   const HeightMapLocalizerSettings& settings_;
-  const GroundModel& ground_;
+  GroundModel& ground_;
   const Prior& prior_;
   Comparison comparison_;
 };

@@ -63,16 +63,43 @@ std::vector<float> greatestNear(const std::vector<float>& values, int width, int
   return out;
 }
 
+constexpr double kUnseen = 0.35;  // of the cells around one at the rim; along a straight rim two fifths or more
+
 /// Whether much of what lies within `edge` cells was not seen: the map's rim, or that of a hole. What stands there may
 /// begin at the next cell.
 bool atRim(const HeightMap& map, int row, int column, int edge) {
-  constexpr double kUnseen = 0.35;  // of those cells; along a straight rim two fifths or more
   int unseen = 0;
   for (int r = row - edge; r <= row + edge; ++r)
     for (int c = column - edge; c <= column + edge; ++c)
       unseen += r < 0 || c < 0 || r >= map.height || c >= map.width || std::isnan(map.at(r, c));
   return unseen > kUnseen * (2 * edge + 1) * (2 * edge + 1);
 }
+
+/// atRim of every cell, in a time that does not depend on `edge`.
+class Rims {
+ public:
+  Rims(const HeightMap& map, int edge)
+      : width_(map.width), height_(map.height), edge_(edge), seen_((width_ + 1) * (height_ + 1), 0) {
+    for (std::size_t r = 0; r < height_; ++r) {
+      for (std::size_t c = 0, row = 0; c < width_; ++c) {
+        row += !std::isnan(map.heights[r * width_ + c]);
+        seen_[(r + 1) * (width_ + 1) + c + 1] = seen_[r * (width_ + 1) + c + 1] + row;
+      }
+    }
+  }
+  bool at(std::size_t row, std::size_t column) const {
+    const std::size_t r0 = row - std::min(row, edge_), c0 = column - std::min(column, edge_);
+    const std::size_t r1 = std::min(row + edge_ + 1, height_), c1 = std::min(column + edge_ + 1, width_);
+    const auto before = [this](std::size_t r, std::size_t c) { return seen_[r * (width_ + 1) + c]; };
+    const std::size_t seen = before(r1, c1) + before(r0, c0) - before(r0, c1) - before(r1, c0);
+    const std::size_t all = (2 * edge_ + 1) * (2 * edge_ + 1);
+    return static_cast<double>(all - seen) > kUnseen * static_cast<double>(all);
+  }
+
+ private:
+  std::size_t width_, height_, edge_;
+  std::vector<std::size_t> seen_;  // in the rows and columns before
+};
 
 /// The same with what lies within `edge` cells, where there is a step.
 CellHeight heightNear(const HeightMap& map, int row, int column, double base, int edge) {
@@ -165,6 +192,7 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, 
   }
   const std::vector<float> high_near = greatestNear(high, air.width, air.height, edge);
   const std::vector<float> minus_low_near = greatestNear(minus_low, air.width, air.height, edge);
+  const Rims rims(air, edge);
   double sum = 0;
   for (int row = 0; row < air.height; ++row) {
     for (int column = 0; column < air.width; ++column) {
@@ -177,9 +205,7 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, 
       cells.y.push_back(static_cast<float>(q.y()));
       cells.h.push_back(static_cast<float>(height.value));
       cells.low.push_back(-(step ? minus_low_near[i] : minus_low[i]));
-      cells.high.push_back(atRim(air, row, column, edge) ? static_cast<float>(kNoLimit)
-                           : step                        ? high_near[i]
-                                                         : high[i]);
+      cells.high.push_back(rims.at(row, column) ? static_cast<float>(kNoLimit) : step ? high_near[i] : high[i]);
       sum += height.value;
     }
   }

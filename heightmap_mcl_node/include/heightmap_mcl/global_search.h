@@ -53,8 +53,8 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
                                         const Prior& prior = {});
 
 /// Descends from `start` on the score of what agrees (agreement.h) at full resolution: the neighbours at steps that are
-/// halved down to about half a cell, the first ones on a quarter of the cells, then a parabola along each axis.
-/// `step_xy` [m] and `step_yaw` [rad] are the first steps.
+/// halved down to about half a cell, the first ones on a quarter of the cells, then a parabola along each axis. Of
+/// large maps fewer cells lead there; the score is that of all. `step_xy` [m] and `step_yaw` [rad] are the first steps.
 Placement descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
 
