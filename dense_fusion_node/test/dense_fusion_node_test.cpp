@@ -15,6 +15,7 @@
 #include <set>
 
 #include "../src/ros/map_store.h"
+#include "../src/ros/work_queue.h"
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/statistics.h"
 #include "flight_fixture.h"
@@ -276,6 +277,23 @@ TEST_F(DenseFusionNodeTest, SaysThatItIsBehind) {
   }
   EXPECT_TRUE(said) << diagnostics_.message();
   EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::WARN);
+}
+
+// Twenty seconds that nobody works on.
+TEST(WorkQueue, ImagesFarBehindMakeRoomForNewOnes) {
+  ros_utils::NodeHealth health("work_queue");
+  for (const double max_latency : {5.0, 0.0}) {
+    dense_fusion::WorkQueue queue(400, max_latency, health);
+    air_ground::PosedImage image;
+    for (int i = 0; i < 200; ++i) {
+      image.header.stamp.fromSec(100 + 0.1 * i);
+      queue.add(boost::make_shared<const air_ground::PosedImage>(image));
+    }
+    EXPECT_EQ(queue.imagesWaiting(), max_latency > 0 ? 51u : 200u);
+    const auto work = queue.next();
+    ASSERT_TRUE(work && work->image);
+    EXPECT_NEAR(queue.lag(work->image->header.stamp), max_latency > 0 ? 5 : 19.9, 1e-6);
+  }
 }
 
 // In a map without scale the cells are a share of the scene's distance, which a landing makes small.

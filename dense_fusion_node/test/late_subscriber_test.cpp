@@ -139,7 +139,7 @@ TEST(CloudPublisher, SendsManyInTheirOrder) {
   const dense_fusion::NodeSettings settings;
   ros_utils::NodeHealth health("order");
   dense_fusion::MapStore map(settings, health);
-  dense_fusion::WorkQueue queue(10, health);
+  dense_fusion::WorkQueue queue(10, 0, health);
   dense_fusion::CloudPublisher publisher(handle, map, queue, health);
   const auto publish = [&](std::size_t second) {
     auto cloud = boost::make_shared<sensor_msgs::PointCloud2>();

@@ -32,7 +32,8 @@ class DenseFusionNode {
   explicit DenseFusionNode(const NodeSettings& settings)
       : settings_(settings),
         health_("dense_fusion"),
-        queue_(static_cast<std::size_t>(settings.queue_size), health_),
+        max_latency_(ros::Time::isSimTime() ? 0 : settings.max_latency),  // the player of a replay waits for its nodes
+        queue_(static_cast<std::size_t>(settings.queue_size), max_latency_, health_),
         map_(settings_, health_),
         publisher_(handle_, map_, queue_, health_),
         mapper_(settings.mapper) {
@@ -215,7 +216,7 @@ class DenseFusionNode {
 
   void sayState(const air_ground::PosedImage& msg) {
     constexpr std::size_t kPoorInARow = 5;
-    constexpr double kMostLag = 10;  // [s]
+    const double most_lag = max_latency_ > 0 ? 0.8 * max_latency_ : 10;  // [s]
     const MapperCounters& c = mapper_.counters();
     if (c.depth_maps != good_depth_maps_) {
       good_depth_maps_ = c.depth_maps;
@@ -223,7 +224,7 @@ class DenseFusionNode {
     }
     const std::size_t poor = c.poor_depth_maps - poor_before_;
     const double lag = queue_.lag(msg.header.stamp);
-    const bool bad = poor >= kPoorInARow, late = lag > kMostLag;
+    const bool bad = poor >= kPoorInARow, late = lag > most_lag;
     std::ostringstream state;
     if (bad) {
       state << "no depth: the last " << poor << " depth maps are too poor, "
@@ -280,6 +281,7 @@ class DenseFusionNode {
   ros::NodeHandle handle_, service_handle_{"~"};
   ros_utils::NodeHealth health_;
   ros::AsyncSpinner service_spinner_{1, &service_queue_};
+  const double max_latency_;  ///< [s]; 0: any
   WorkQueue queue_;
   ros::Subscriber image_subscriber_, sparse_subscriber_, corrected_subscriber_;
   ros::ServiceServer save_service_, flush_service_, reset_service_;

@@ -17,6 +17,9 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("niceness", s.niceness, {0, 19}, "", air_ground_common::kNiceness);
   v("queue_size", s.queue_size, {10, 10000}, "",
     "posed images that may wait for the worker; the oldest are dropped, and counted, beyond it");
+  v("max_latency", s.max_latency, {0, 600}, "s",
+    "live: waiting images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops "
+    "none");
   v("flush_timeout", s.flush_timeout, {0, 3600}, "s",
     "wall time without input after which the depth maps at hand are fused; 0: only when asked (~flush)");
   v("service_timeout", s.service_timeout, {0.01, 3600}, "s",

@@ -13,8 +13,8 @@ std::size_t bytesOf(const air_ground::PosedImage& msg) { return msg.image.data.s
 
 }  // namespace
 
-WorkQueue::WorkQueue(std::size_t most_images, air_ground_common::ros_utils::NodeHealth& health)
-    : most_images_(most_images), health_(health), gate_(kStreams, health, [this] {
+WorkQueue::WorkQueue(std::size_t most_images, double max_latency, air_ground_common::ros_utils::NodeHealth& health)
+    : most_images_(most_images), max_latency_(max_latency), health_(health), gate_(kStreams, health, [this] {
         ROS_WARN("time jumped back (a looped bag?): the dense map starts afresh");
         forget();
       }) {}
@@ -26,15 +26,26 @@ void WorkQueue::add(const air_ground::PosedImage::ConstPtr& msg) {
     newest_ = msg->header.stamp.toSec();
     images_.push_back(msg);
     bytes_ += bytesOf(*msg);
-    while (images_.size() > most_images_ || (bytes_ > kMaxBytes && images_.size() > 1)) {
-      bytes_ -= bytesOf(*images_.front());
-      images_.pop_front();
-      health_.count("images dropped: the queue was full");
+    while (images_.size() > most_images_ || (bytes_ > kMaxBytes && images_.size() > 1))
+      dropOldest("the queue was full");
+    // One of several, not all: the map keeps on growing, of fewer images.
+    if (max_latency_ > 0 && newest_ - images_.front()->header.stamp.toSec() > max_latency_) {
+      dropOldest("further behind than max_latency");
+      ROS_WARN_THROTTLE(30,
+                        "dense fusion is slower than the images come: those more than %g s behind are dropped "
+                        "(parameter max_latency); lower image/scale, or raise threads",
+                        max_latency_);
     }
     last_arrival_ = ros::WallTime::now();
     flush_due_ = true;
   }
   changed_.notify_all();
+}
+
+void WorkQueue::dropOldest(const std::string& why) {
+  bytes_ -= bytesOf(*images_.front());
+  images_.pop_front();
+  health_.count("images dropped: " + why);
 }
 
 void WorkQueue::add(SparseCloud cloud) {

@@ -36,7 +36,8 @@ struct Work {
 /// Callbacks add, services wait, one worker takes; all may do so at once.
 class WorkQueue {
  public:
-  WorkQueue(std::size_t most_images, air_ground_common::ros_utils::NodeHealth& health);
+  /// Images further behind the newest than `max_latency` [s of data] are dropped; 0: none.
+  WorkQueue(std::size_t most_images, double max_latency, air_ground_common::ros_utils::NodeHealth& health);
 
   // ---- Callbacks. Messages from before a jump of time reset the work and start anew.
 
@@ -74,9 +75,12 @@ class WorkQueue {
 
  private:
   enum Stream { kImages, kSparseClouds, kCorrections, kStreams };
-  void forget();  // locked
+  // Both locked.
+  void forget();
+  void dropOldest(const std::string& why);
 
   const std::size_t most_images_;
+  const double max_latency_;
   air_ground_common::ros_utils::NodeHealth& health_;
   mutable std::mutex mutex_;
   std::condition_variable changed_, idle_;
