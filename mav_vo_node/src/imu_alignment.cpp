@@ -50,6 +50,18 @@ std::string axisName(const Eigen::Vector3d& axis) {
   return std::string(axis(largest) < 0 ? "-" : "") + "xyz"[largest];
 }
 
+/// Images that are flipped turn as if the camera stood on its head (left to right) or looked behind itself (top to
+/// bottom).
+std::string flipOf(const Eigen::Matrix3d& R_given_actual) {
+  constexpr double kNear = 0.94;  // cosine of 20 degrees
+  const auto halfTurnAbout = [&](int axis) {
+    return R_given_actual(axis, axis) > kNear && R_given_actual.trace() < -kNear;
+  };
+  if (halfTurnAbout(0)) return ", or have the images not mirrored left to right";
+  if (halfTurnAbout(1)) return ", or have the images not mirrored top to bottom";
+  return "";
+}
+
 }  // namespace
 
 ImuAlignment::ImuAlignment(const OdometrySettings& settings, const Eigen::Matrix3d& R_camera_imu, double ray_sigma,
@@ -268,9 +280,10 @@ std::string ImuAlignment::problem() const {
   if (right_angles_)
     return air_ground_common::formatted(
         "gyro and images turn differently: the x, y and z axes of the IMU seem to be %s, %s and %s of its frame: "
-        "correct its static transform (or the camera's)",
+        "correct its static transform (or the camera's)%s",
         axisName(right_angles_->col(0)).c_str(), axisName(right_angles_->col(1)).c_str(),
-        axisName(right_angles_->col(2)).c_str());
+        axisName(right_angles_->col(2)).c_str(),
+        flipOf(R_camera_imu_ * *right_angles_ * R_camera_imu_.transpose()).c_str());
   return air_ground_common::formatted(
       "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
       "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",

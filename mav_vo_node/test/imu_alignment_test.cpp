@@ -331,5 +331,23 @@ TEST(ImuAlignment, NamesAxesThatWereTakenForEachOther) {
       << "'" << imu.problem() << "', bias " << imu.gyroBias().transpose();
 }
 
+// What a driver that flips its images looks like to the gyro.
+TEST(ImuAlignment, NamesImagesThatMayBeFlipped) {
+  const std::pair<Eigen::Vector3d, const char*> turned[] = {
+      {{1, -1, -1}, "mirrored left to right"}, {{-1, 1, -1}, "mirrored top to bottom"}, {{-1, -1, 1}, ""}};
+  for (const auto& [half_turn, said] : turned) {
+    const Eigen::Matrix3d R_given_imu = kCameraImu.transpose() * half_turn.asDiagonal() * kCameraImu;
+    ImuAlignment imu = make();
+    Swing(0, 0, R_given_imu, 0.5).show(imu, [&](double t, const std::vector<Feature>& features) {
+      imu.alignShutter(t, features, 0);
+      imu.alignMounting(t, features);
+      imu.alignGyro(t, features, false);
+    });
+    EXPECT_NE(imu.problem().find("seem to be"), std::string::npos) << imu.problem();
+    EXPECT_EQ(imu.problem().find("mirrored") != std::string::npos, *said != 0) << imu.problem();
+    EXPECT_NE(imu.problem().find(said), std::string::npos) << imu.problem();
+  }
+}
+
 }  // namespace
 }  // namespace mav_vo

@@ -244,7 +244,7 @@ class StreetviewLocalizer::Query {
       return result;
     }
     engine_.decide(std::move(candidates), &result);
-    if (!result.accepted()) return result;
+    if (!result.accepted() || prior_.not_mirrored) return result;
     if (const std::string why = mirror_.objection(result.view, result.used_prior); !why.empty())
       engine_.contradict(why, &result);
     return result;

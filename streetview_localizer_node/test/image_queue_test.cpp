@@ -106,6 +106,32 @@ TEST(ImageQueue, KeepsItsPeriodAndForgetsIt) {
   EXPECT_FALSE(queue.next(kNoAttitudes));
 }
 
+TEST(ImageQueue, OdometryThatAgreesWithAGyroTellsThatNothingFlipsTheImages) {
+  const NodeSettings settings;
+  ru::NodeHealth health("streetview_localizer");
+  ImageQueue queue(settings, health);
+  queue.setCamera(calibration());
+  const auto notMirrored = [&](double stamp) {
+    queue.add(picture(stamp));
+    return queue.priorFor(*queue.next(kNoAttitudes), Pose::Identity(), true).not_mirrored;
+  };
+  air_ground::VoStatus status;
+  status.header.stamp = ros::Time(10);
+  status.state = status.STATE_TRACKING;
+  queue.addStatus(status);
+  EXPECT_FALSE(notMirrored(10)) << "metric by an alignment, not by an IMU";
+  status.tilt_stddev = 0.01;
+  status.state = status.STATE_SCALING;
+  queue.addStatus(status);
+  EXPECT_FALSE(notMirrored(10.1)) << "not metric yet";
+  status.state = status.STATE_TRACKING;
+  queue.addStatus(status);
+  EXPECT_TRUE(notMirrored(10.2));
+  EXPECT_FALSE(notMirrored(60)) << "that was long ago: another camera may be there";
+  queue.reset();
+  EXPECT_FALSE(notMirrored(10.3));
+}
+
 }  // namespace
 }  // namespace streetview_localizer
 

@@ -10,7 +10,6 @@
 #include <limits>
 #include <opencv2/imgproc.hpp>
 
-#include "../src/mirror_check.h"
 #include "streetview_localizer/match_picture.h"
 #include "streetview_localizer/view_synthesis.h"
 #include "tiny_city.h"
@@ -323,42 +322,6 @@ TEST_F(LocalizerTest, AContradictionIsFinal) {
     EXPECT_TRUE(r.contradicted && r.quick) << "something else was tried: " << r.reason;
     EXPECT_NE(r.reason.find("poses from two panoramas lie 1.6 m"), std::string::npos) << r.reason;
   }
-}
-
-// The check alone, whatever else refuses: features of the image and of its mirror image, each as the query's own.
-TEST_F(LocalizerTest, MirrorCheckTellsAnImageFromItsMirrorImage) {
-  const StreetviewLocalizerSettings settings;
-  const ViewSearch search(*database_, settings);
-  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
-  const cv::Mat image = city_->photograph(TinyCity::camera(), T);
-  cv::Mat mirrored;
-  cv::flip(image, mirrored, 1);
-  const int view = localizer_->localize(image, TinyCity::camera()).view;
-  ASSERT_GE(view, 0);
-  MirrorCheck recorded(extractFeatures(image), search, *database_, settings),
-      flipped(extractFeatures(mirrored), search, *database_, settings);
-  EXPECT_EQ(recorded.objection(view, true), "");
-  EXPECT_EQ(recorded.objection(view, false), "");
-  EXPECT_NE(flipped.objection(view, true), "");
-  // Another view, which shows neither: the one that shows the mirror image is found in the whole database only.
-  const LocalizerResult elsewhere = locate(TinyCity::look({3, -1, 6}, -M_PI / 2 + 0.2, -0.15, 0.05));
-  ASSERT_TRUE(elsewhere.accepted() && elsewhere.view != view) << elsewhere.reason;
-  EXPECT_NE(flipped.objection(elsewhere.view, false), "");
-}
-
-TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
-  auto db = std::make_shared<StreetviewDatabase>(*database_);
-  const BackProjector projector(db->model);
-  for (View& view : db->views) {
-    cv::Mat mirrored;
-    cv::flip(view.image, mirrored, 1);
-    view.image = mirrored;
-    view.features = extractFeatures(view.image);
-    projector.apply(&view);
-  }
-  const StreetviewLocalizer mirrored(db);
-  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
-  EXPECT_FALSE(mirrored.localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera()).accepted());
 }
 
 // Walls that repeat themselves every 3 m, with a corner in sight to tell the periods apart: right, or silent.

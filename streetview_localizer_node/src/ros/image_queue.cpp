@@ -13,6 +13,12 @@ namespace streetview_localizer {
 
 namespace ru = air_ground_common::ros_utils;
 
+namespace {
+
+constexpr double kInertialAge = 2;  // [s]
+
+}  // namespace
+
 void ImageQueue::setCamera(const ru::Calibration& calibration) {
   const std::lock_guard<std::mutex> lock(mutex_);
   calibration_ = calibration;
@@ -60,12 +66,20 @@ void ImageQueue::addAttitude(const TimedPose& T_map_base) {
   wake_.notify_all();
 }
 
+// Images that something flips turn otherwise than the gyro, and their odometry never becomes metric.
+void ImageQueue::addStatus(const air_ground::VoStatus& odometry) {
+  if (odometry.state != odometry.STATE_TRACKING || !(odometry.tilt_stddev > 0)) return;
+  const std::lock_guard<std::mutex> lock(mutex_);
+  inertial_ = odometry.header.stamp.toSec();
+}
+
 void ImageQueue::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   ++pass_;
   waiting_.reset();
   predictions_.clear();
   attitudes_.clear();
+  inertial_.reset();
   last_started_ = ros::Time();
 }
 
@@ -112,6 +126,7 @@ PosePrior ImageQueue::priorFor(const Job& job, const Pose& T_base_camera, bool u
     const std::lock_guard<std::mutex> lock(mutex_);
     if (const TimedPose* pose = predictions_.nearest(stamp, settings_.prior_max_age)) predicted = *pose;
     if (const TimedPose* pose = attitudes_.nearest(stamp, settings_.gravity_max_age)) attitude = *pose;
+    prior.not_mirrored = inertial_ && std::abs(stamp - *inertial_) < kInertialAge;
   }
   if (predicted && !use_prediction) {
     // A tracker that is sure of a wrong place would keep the search away from the right one for ever.

@@ -1,6 +1,7 @@
 // What streetview_localizer_node's worker has to do, the newest image, and what is known of its pose beforehand.
 #pragma once
 
+#include <air_ground/VoStatus.h>
 #include <ros/time.h>
 #include <sensor_msgs/Image.h>
 
@@ -45,6 +46,7 @@ class ImageQueue {
   void add(const air_ground_common::ros_utils::ImageMessage& message);
   void addPrediction(const TimedPose& T_world_base);
   void addAttitude(const TimedPose& T_map_base);
+  void addStatus(const air_ground::VoStatus& odometry);
   /// Forgets images and poses.
   void reset();
   void stop();
@@ -80,6 +82,7 @@ class ImageQueue {
   ros::Time last_started_;
   air_ground_common::StampedBuffer<TimedPose> predictions_{kPosesKept}, attitudes_{kPosesKept};
   static constexpr double kPosesKept = 10;  // [s]
+  std::optional<double> inertial_;          ///< when the odometry of these images last agreed with an IMU [s]
 };
 
 }  // namespace streetview_localizer

@@ -24,7 +24,7 @@ namespace {
 
 namespace ru = air_ground_common::ros_utils;
 
-enum Stream : std::size_t { kImages, kPriors, kAttitudes, kStreams };
+enum Stream : std::size_t { kImages, kPriors, kAttitudes, kStatuses, kStreams };
 
 class StreetviewLocalizerNode {
  public:
@@ -88,6 +88,7 @@ class StreetviewLocalizerNode {
       prior_ = handle_.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
     if (settings_.use_gravity)
       attitude_ = handle_.subscribe("mav/odometry", 400, &StreetviewLocalizerNode::onAttitude, this);
+    status_ = handle_.subscribe("mav/vo_status", 20, &StreetviewLocalizerNode::onStatus, this);
     camera_info_ = handle_.subscribe("mav/camera/camera_info", 20, &StreetviewLocalizerNode::onCameraInfo, this);
     image_.emplace(handle_, "mav/camera/image_raw", settings_.image_transport, false, 3, health_,
                    "the parameter image_transport, or the launch argument mav_image_transport,",
@@ -146,6 +147,10 @@ class StreetviewLocalizerNode {
   void onAttitude(const nav_msgs::Odometry::ConstPtr& msg) {
     const auto pose = read(*msg, "attitude");
     if (pose && gate_.admit(kAttitudes, msg->header.stamp)) queue_.addAttitude(*pose);
+  }
+
+  void onStatus(const air_ground::VoStatus::ConstPtr& msg) {
+    if (gate_.admit(kStatuses, msg->header.stamp)) queue_.addStatus(*msg);
   }
 
   // ---- Work ---------------------------------------------------------------------------------------------------------
@@ -207,7 +212,7 @@ class StreetviewLocalizerNode {
   ru::PixelRange pixel_range_;
   unsigned pixel_pass_ = 0;  // of the images that pixel_range_ has seen
   std::optional<ru::ImageInput> image_;
-  ros::Subscriber camera_info_, prior_, attitude_;
+  ros::Subscriber camera_info_, prior_, attitude_, status_;
   ros::ServiceServer reset_;
   std::atomic<bool> failed_{false};
   std::thread worker_;

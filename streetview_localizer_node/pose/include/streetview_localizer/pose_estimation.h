@@ -35,6 +35,7 @@ struct PosePrior {
   Matrix6d covariance = Matrix6d::Identity();  ///< of the prediction, in the order of PoseResult::covariance
   double min_z = -std::numeric_limits<double>::infinity();  ///< the camera is above: the ground there [m]
   double max_z = std::numeric_limits<double>::infinity();   ///< and below [m]
+  bool not_mirrored = false;  ///< what turns the images is what turns a gyro: nothing flips them
 };
 
 struct PoseSettings {
