@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "displacement.h"
-
 namespace rgbd_slam {
 
 using air_ground_common::CameraModel;
@@ -23,7 +21,6 @@ constexpr float kNoise = 0.06f;   // right above a point nothing is looked for [
 constexpr int kGap = 2;           // layers in which nobody looked
 constexpr int kBlocks = 96;       // of pixels in a row of an image
 constexpr int kSurer = 4;         // rays that a surface stopped, for one that went through: poses are off by a layer
-constexpr double kMoved = 0.025;  // of what a keyframe sees, after which it is taken anew [m]
 
 }  // namespace
 
@@ -88,11 +85,11 @@ void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, f
   }
 }
 
-void HiddenSpace::add(const Added& keyframe) {
-  const Eigen::Matrix3f R = keyframe.T_map_camera.linear().cast<float>();
-  const Eigen::Vector3f t = keyframe.T_map_camera.translation().cast<float>();
+void HiddenSpace::add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays) {
+  const Eigen::Matrix3f R = T_map_camera.linear().cast<float>();
+  const Eigen::Vector3f t = T_map_camera.translation().cast<float>();
   const float highest = t.z() + kAbove;
-  for (const DepthRays::Ray& ray : keyframe.rays->rays) {
+  for (const DepthRays::Ray& ray : rays.rays) {
     const Eigen::Vector3f direction = R * Eigen::Vector3f(ray.x, ray.y, 1);
     if (ray.free > 0) mark(t, t + std::min(ray.free, kFarthest) * direction, highest, true);
     if (ray.occupied > kFarthest) continue;
@@ -102,18 +99,8 @@ void HiddenSpace::add(const Added& keyframe) {
 }
 
 void HiddenSpace::update(const std::vector<PosedPoints>& keyframes) {
-  std::size_t stand = 0;
-  for (const PosedPoints& k : keyframes) {
-    const auto it = added_.find(k.keyframe);
-    stand += it != added_.end() && it->second.rays == k.rays &&
-             displacement(it->second.T_map_camera, k.T_map_camera, kFarthest) <= kMoved;
-  }
-  if (stand < added_.size()) clear();
-  for (const PosedPoints& k : keyframes) {
-    if (!k.rays) continue;
-    const auto [it, is_new] = added_.emplace(k.keyframe, Added{k.T_map_camera, k.rays});
-    if (is_new) add(it->second);
-  }
+  seen_.update(
+      keyframes, [this] { tiles_.clear(); }, [this](const auto& pose, const auto& rays) { add(pose, rays); });
 }
 
 HiddenSpace::Seen HiddenSpace::at(int x, int y, int layer) const {
@@ -150,7 +137,7 @@ float HiddenSpace::hiddenFrom(const Eigen::Vector3f& point) const {
 
 void HiddenSpace::clear() {
   tiles_.clear();
-  added_.clear();
+  seen_.clear();
 }
 
 }  // namespace rgbd_slam

@@ -12,6 +12,7 @@
 #include "air_ground_common/geometry.h"
 #include "rgbd_slam/depth_model.h"
 #include "rgbd_slam/ground_cloud.h"
+#include "rgbd_slam/seen_keyframes.h"
 
 namespace rgbd_slam {
 
@@ -57,15 +58,11 @@ class HiddenSpace {
   static Place placeOf(int x, int y, int layer);
   enum class Seen { kNot, kFree, kHidden };
   Seen at(int x, int y, int layer) const;
-  struct Added {
-    air_ground_common::Pose T_map_camera;
-    std::shared_ptr<const DepthRays> rays;
-  };
-  void add(const Added& keyframe);
+  void add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays);
   void mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free);
 
   std::unordered_map<std::int64_t, std::unique_ptr<Tile>> tiles_;
-  std::unordered_map<int, Added> added_;  // by number
+  SeenKeyframes seen_;
 };
 
 }  // namespace rgbd_slam

@@ -4,10 +4,13 @@
 #include <utility>
 
 #include "rgbd_slam/hidden_space.h"
+#include "rgbd_slam/passed_space.h"
 
 namespace rgbd_slam {
 
 namespace ros_utils = air_ground_common::ros_utils;
+
+namespace {
 
 std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& cloud) {
   std::vector<ros_utils::CloudPoint> points(cloud.size());
@@ -16,6 +19,17 @@ std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& 
     points[i].rgb = {cloud[i].bgr[2], cloud[i].bgr[1], cloud[i].bgr[0]};
   }
   return points;
+}
+
+}  // namespace
+
+std::vector<ros_utils::CloudPoint> cloudForFile(const std::vector<PosedPoints>& keyframes,
+                                                const CloudSettings& settings) {
+  std::vector<CloudPoint> points = fusePoints(keyframes, settings);
+  PassedSpace passed;
+  passed.update(keyframes);
+  passed.dropGone(&points);
+  return messagePoints(points);
 }
 
 CloudPublisher::CloudPublisher(ros::NodeHandle handle, const std::string& topic, const std::string& frame,
@@ -53,6 +67,7 @@ void CloudPublisher::request(std::uint32_t map_id, const ros::Time& stamp, std::
 void CloudPublisher::work() {
   GroundCloud ground(settings_);  // of fused_map
   HiddenSpace hidden;             // likewise
+  PassedSpace passed;             // likewise
   std::uint32_t fused_map = 0;
   while (true) {
     Request request;
@@ -68,11 +83,15 @@ void CloudPublisher::work() {
       if (request.map_id != fused_map) {
         ground.clear();
         hidden.clear();
+        passed.clear();
       }
       fused_map = request.map_id;
       ground.update(request.points);
       hidden.update(request.points);
-      auto cloud = messagePoints(ground.points());
+      passed.update(request.points);
+      std::vector<CloudPoint> points = ground.points();
+      health_.value("ground points that others see through", static_cast<double>(passed.dropGone(&points)));
+      auto cloud = messagePoints(points);
       for (ros_utils::CloudPoint& point : cloud) point.hidden_from = hidden.hiddenFrom(point.position);
       const std::lock_guard<std::mutex> lock(mutex_);
       if (request.map_id != map_id_) continue;  // its map was given up meanwhile

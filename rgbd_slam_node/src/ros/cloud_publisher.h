@@ -18,7 +18,9 @@
 
 namespace rgbd_slam {
 
-std::vector<air_ground_common::ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& cloud);
+/// What is published, of the keyframes at once.
+std::vector<air_ground_common::ros_utils::CloudPoint> cloudForFile(const std::vector<PosedPoints>& keyframes,
+                                                                   const CloudSettings& settings);
 
 /// All calls from one thread at a time.
 class CloudPublisher {

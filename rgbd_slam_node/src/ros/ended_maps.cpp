@@ -27,7 +27,7 @@ void EndedMaps::add(std::uint32_t map_id, const EndedMap& map) {
         autosave_.save("trajectory_" + name + ".txt",
                        [&](const std::string& path) { air_ground_common::writeTum(path, map.trajectory); });
         autosave_.save(name + ".ply", [&](const std::string& path) {
-          air_ground_common::ros_utils::writeCloud(path, messagePoints(fusePoints(map.points, cloud_)));
+          air_ground_common::ros_utils::writeCloud(path, cloudForFile(map.points, cloud_));
         });
       });
 }

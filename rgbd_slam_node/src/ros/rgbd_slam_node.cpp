@@ -284,8 +284,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::function<std::vector<ros_utils::CloudPoint>()> mapForFile() override {
     if (slam_->map().keyframeCount() == 0) throw std::runtime_error("there is no map yet");
     finishMap();
-    return
-        [points = slam_->posedPoints(), how = settings_.slam.cloud] { return messagePoints(fusePoints(points, how)); };
+    return [points = slam_->posedPoints(), how = settings_.slam.cloud] { return cloudForFile(points, how); };
   }
 
   std::vector<ros_utils::MapTrajectory> trajectories() override {

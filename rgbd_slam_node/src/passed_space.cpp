@@ -1,0 +1,103 @@
+#include "rgbd_slam/passed_space.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "rgbd_slam/hidden_space.h"
+
+namespace rgbd_slam {
+
+namespace {
+
+constexpr float kCube = 0.05f;      // edge [m]
+constexpr float kFarthest = 4;      // rays lie farther apart than cubes are wide [m]
+constexpr float kClearance = 0.1f;  // before a surface: poses and depth err, and its cube is no free one [m]
+constexpr int kLeast = 3;           // keyframes that see through
+constexpr int kSurer = 2;           // of them, for one that saw something: rays pass beside what is thin
+
+}  // namespace
+
+std::int64_t PassedSpace::tileOf(const Index& cell) {
+  // Shifts round down, of what is negative, too.
+  const auto part = [&cell](int axis) { return static_cast<std::int64_t>((cell[axis] >> kSideBits) & 0x1fffff); };
+  return part(2) << 42 | part(1) << 21 | part(0);
+}
+
+int PassedSpace::inTile(const Index& cell) {
+  const auto part = [&cell](int axis) { return cell[axis] & (kSide - 1); };
+  return (part(2) * kSide + part(1)) * kSide + part(0);
+}
+
+PassedSpace::Index PassedSpace::cellOf(const Eigen::Vector3f& point) {
+  return (point / kCube).array().floor().cast<int>();
+}
+
+const PassedSpace::Cell* PassedSpace::find(const Index& cell) const {
+  const auto it = tiles_.find(tileOf(cell));
+  return it == tiles_.end() ? nullptr : &it->second->cells[inTile(cell)];
+}
+
+void PassedSpace::add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays) {
+  vote_ = static_cast<std::uint8_t>(vote_ == 255 ? 1 : vote_ + 1);
+  const Eigen::Matrix3f R = T_map_camera.linear().cast<float>();
+  const Eigen::Vector3f t = T_map_camera.translation().cast<float>();
+  Tile* tile = nullptr;
+  std::int64_t key = 0;
+  const auto cellAt = [&](const Eigen::Vector3f& point) -> Cell& {
+    const Index cell = cellOf(point);
+    const std::int64_t of = tileOf(cell);
+    if (!tile || of != key) {
+      auto& found = tiles_[of];
+      if (!found) found = std::make_unique<Tile>();
+      tile = found.get();
+      key = of;
+    }
+    return tile->cells[inTile(cell)];
+  };
+  const auto count = [this](std::uint8_t& votes, std::uint8_t& last) {
+    if (last == vote_) return;
+    last = vote_;
+    if (votes < 255) ++votes;
+  };
+  for (const DepthRays::Ray& ray : rays.rays) {
+    const Eigen::Vector3f way = R * Eigen::Vector3f(ray.x, ray.y, 1);
+    Cell& surface = cellAt(t + ray.occupied * way);
+    count(surface.hit, surface.hit_last);
+    const float length = way.norm(), end = std::min(ray.free * length, kFarthest) - kClearance;
+    for (float s = 0; s < end; s += 0.7f * kCube) {
+      Cell& passed = cellAt(t + s / length * way);
+      count(passed.through, passed.through_last);
+    }
+  }
+}
+
+void PassedSpace::update(const std::vector<PosedPoints>& keyframes) {
+  seen_.update(
+      keyframes, [this] { tiles_.clear(); }, [this](const auto& pose, const auto& rays) { add(pose, rays); });
+}
+
+bool PassedSpace::isGone(const Eigen::Vector3f& point) const {
+  const Index centre = cellOf(point);
+  const Cell* own = find(centre);
+  if (!own || own->through < kLeast) return false;
+  for (int i = 0; i < 27; ++i) {
+    const Cell* cell = find(centre + Index(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1));
+    if (cell && kSurer * cell->hit >= own->through) return false;
+  }
+  return true;
+}
+
+std::size_t PassedSpace::dropGone(std::vector<CloudPoint>* cloud) const {
+  const auto gone =
+      std::remove_if(cloud->begin(), cloud->end(), [this](const CloudPoint& point) { return isGone(point.position); });
+  const auto count = static_cast<std::size_t>(cloud->end() - gone);
+  cloud->erase(gone, cloud->end());
+  return count;
+}
+
+void PassedSpace::clear() {
+  tiles_.clear();
+  seen_.clear();
+}
+
+}  // namespace rgbd_slam
