@@ -161,9 +161,10 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
   constexpr std::size_t kStride = 4, kEnough = 8192, kEnoughNear = 65536;
   constexpr int kAxes[] = {4, 10, 12, 14, 16, 22};
   const AerialCells thin = thinned(cells, static_cast<int>(std::max(kStride, cells.h.size() / kEnough)));
-  const auto near_stride = static_cast<int>(cells.h.size() / kEnoughNear);
-  const AerialCells nearer = near_stride > 1 ? thinned(cells, near_stride) : AerialCells();
-  const AerialCells& fine = near_stride > 1 ? nearer : cells;
+  std::optional<AerialCells> fewer;
+  if (const std::size_t stride = cells.h.size() / kEnoughNear; stride > 1)
+    fewer = thinned(cells, static_cast<int>(stride));
+  const AerialCells& fine = fewer ? *fewer : cells;
   // What agrees with the best pose so far says how far the heights lie apart.
   Placement best{start, cost.agreement(thin, start, cost.medianOffset(thin, start), settings)};
   const auto at = [&](const PlanarPose& pose, bool coarse) {
@@ -198,7 +199,7 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
                                p.yaw + h_yaw * shift({p.x, p.y, p.yaw - h_yaw}, {p.x, p.y, p.yaw + h_yaw})},
                               false);
   if (vertex.agreement.score <= best.agreement.score) best = vertex;
-  if (near_stride > 1) best.agreement = cost.agreement(cells, best.pose, best.agreement.offset, settings);
+  if (fewer) best.agreement = cost.agreement(cells, best.pose, best.agreement.offset, settings);
   best.pose.yaw = wrapAngle(best.pose.yaw);
   return best;
 }

@@ -73,7 +73,9 @@ GroundModel::Level& GroundModel::level(int factor) {
   return *level;
 }
 
-int GroundModel::largeFactor() const { return std::max(coarse_factor_, (edge() + kMostCells - 1) / kMostCells); }
+int GroundModel::factorFor(int edge, int most) const { return std::max(coarse_factor_, (edge + most - 1) / most); }
+
+int GroundModel::largeFactor() const { return factorFor(edge(), kMostCells); }
 
 double GroundModel::piece() {
   if (piece_ <= 0) piece_ = pieceArea(level(largeFactor()).map);

@@ -41,7 +41,9 @@ class GroundModel {
 
   /// Of cells `factor` times as large.
   Level& level(int factor);
-  /// Factor of the cells of the search over all placements and scales.
+  /// Factor of cells of which at most `most` lie along an edge of so many; coarse_factor at least.
+  int factorFor(int edge, int most) const;
+  /// That of the search over all placements and scales.
   int largeFactor() const;
   /// Area over which heights are alike [m^2].
   double piece();

@@ -24,8 +24,7 @@ constexpr int kMostCells = 160;
 CostVolume PlaceSearch::volumeOf(const HeightMap& air) const {
   const auto headings = searchHeadings(settings_.headings, prior_);
   const bool circular = static_cast<int>(headings.size()) == settings_.headings;
-  const int edge = std::max({ground_.edge(), air.width, air.height});
-  const int factor = std::max(settings_.coarse_factor, (edge + kMostCells - 1) / kMostCells);
+  const int factor = ground_.factorFor(std::max({ground_.edge(), air.width, air.height}), kMostCells);
   return computeCostVolume(ground_.level(factor).fft(), downsample(air, factor), headings, circular,
                            comparison_.costFor(air));
 }

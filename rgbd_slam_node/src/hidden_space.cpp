@@ -53,34 +53,23 @@ DepthRays::DepthRays(const CameraModel& camera, const cv::Mat& depth, const Dept
 HiddenSpace::Place HiddenSpace::placeOf(int x, int y, int layer) {
   // Shifts round down, of what is negative, too.
   const int tx = x >> kSideBits, ty = y >> kSideBits, tz = layer >> kLayerBits;
-  return {(static_cast<std::int64_t>(tz & 0x1fffff) << 42) | (static_cast<std::int64_t>(ty & 0x1fffff) << 21) |
-              (tx & 0x1fffff),
-          (y & (kSide - 1)) * kSide + (x & (kSide - 1)), layer & (kLayers - 1)};
+  return {TileGrid<Tile>::keyOf(tx, ty, tz), (y & (kSide - 1)) * kSide + (x & (kSide - 1)), layer & (kLayers - 1)};
 }
 
 void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free) {
   const Eigen::Vector3f way = to - from;
   const int steps = static_cast<int>(std::ceil(std::max(way.head<2>().norm() / kStep, std::abs(way.z()) / kLayer)));
-  Tile* tile = nullptr;
-  std::int64_t key = 0;
-  int last_column = -1, last_layer = 0;
+  Place last{0, -1, 0};
   for (int i = 0; i <= steps; ++i) {
     const Eigen::Vector3f p = from + way * (static_cast<float>(i) / static_cast<float>(std::max(steps, 1)));
     if (p.z() > highest && way.z() >= 0) return;
     const Place place =
         placeOf(static_cast<int>(std::floor(p.x() / kColumn)), static_cast<int>(std::floor(p.y() / kColumn)),
                 static_cast<int>(std::floor(p.z() / kLayer)));
-    if (!tile || place.tile != key) {
-      auto& found = tiles_[place.tile];
-      if (!found) found = std::make_unique<Tile>();
-      tile = found.get();
-      key = place.tile;
-      last_column = -1;
-    }
-    if (place.column == last_column && place.layer == last_layer) continue;
-    last_column = place.column;
-    last_layer = place.layer;
-    std::uint8_t& count = (free ? tile->free : tile->hidden)[place.column][place.layer];
+    if (place.tile == last.tile && place.column == last.column && place.layer == last.layer) continue;
+    last = place;
+    Tile& tile = tiles_.at(place.tile);
+    std::uint8_t& count = (free ? tile.free : tile.hidden)[place.column][place.layer];
     if (count < 255) ++count;
   }
 }
@@ -105,9 +94,9 @@ void HiddenSpace::update(const std::vector<PosedPoints>& keyframes) {
 
 HiddenSpace::Seen HiddenSpace::at(int x, int y, int layer) const {
   const Place place = placeOf(x, y, layer);
-  const auto it = tiles_.find(place.tile);
-  if (it == tiles_.end()) return Seen::kNot;
-  const int free = it->second->free[place.column][place.layer], hidden = it->second->hidden[place.column][place.layer];
+  const Tile* tile = tiles_.find(place.tile);
+  if (!tile) return Seen::kNot;
+  const int free = tile->free[place.column][place.layer], hidden = tile->hidden[place.column][place.layer];
   if (hidden > kSurer * free && hidden > 1) return Seen::kHidden;
   return free > 0 ? Seen::kFree : Seen::kNot;
 }

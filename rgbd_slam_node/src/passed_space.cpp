@@ -19,8 +19,7 @@ constexpr int kSurer = 2;           // of them, for one that saw something: rays
 
 std::int64_t PassedSpace::tileOf(const Index& cell) {
   // Shifts round down, of what is negative, too.
-  const auto part = [&cell](int axis) { return static_cast<std::int64_t>((cell[axis] >> kSideBits) & 0x1fffff); };
-  return part(2) << 42 | part(1) << 21 | part(0);
+  return TileGrid<Tile>::keyOf(cell[0] >> kSideBits, cell[1] >> kSideBits, cell[2] >> kSideBits);
 }
 
 int PassedSpace::inTile(const Index& cell) {
@@ -33,26 +32,17 @@ PassedSpace::Index PassedSpace::cellOf(const Eigen::Vector3f& point) {
 }
 
 const PassedSpace::Cell* PassedSpace::find(const Index& cell) const {
-  const auto it = tiles_.find(tileOf(cell));
-  return it == tiles_.end() ? nullptr : &it->second->cells[inTile(cell)];
+  const Tile* tile = tiles_.find(tileOf(cell));
+  return tile ? &tile->cells[inTile(cell)] : nullptr;
 }
 
 void PassedSpace::add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays) {
   vote_ = static_cast<std::uint8_t>(vote_ == 255 ? 1 : vote_ + 1);
   const Eigen::Matrix3f R = T_map_camera.linear().cast<float>();
   const Eigen::Vector3f t = T_map_camera.translation().cast<float>();
-  Tile* tile = nullptr;
-  std::int64_t key = 0;
-  const auto cellAt = [&](const Eigen::Vector3f& point) -> Cell& {
+  const auto cellAt = [this](const Eigen::Vector3f& point) -> Cell& {
     const Index cell = cellOf(point);
-    const std::int64_t of = tileOf(cell);
-    if (!tile || of != key) {
-      auto& found = tiles_[of];
-      if (!found) found = std::make_unique<Tile>();
-      tile = found.get();
-      key = of;
-    }
-    return tile->cells[inTile(cell)];
+    return tiles_.at(tileOf(cell)).cells[inTile(cell)];
   };
   const auto count = [this](std::uint8_t& votes, std::uint8_t& last) {
     if (last == vote_) return;

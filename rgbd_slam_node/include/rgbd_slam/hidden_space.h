@@ -5,7 +5,6 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <memory>
-#include <unordered_map>
 #include <vector>
 
 #include "air_ground_common/camera_model.h"
@@ -13,6 +12,7 @@
 #include "rgbd_slam/depth_model.h"
 #include "rgbd_slam/ground_cloud.h"
 #include "rgbd_slam/seen_keyframes.h"
+#include "rgbd_slam/tile_grid.h"
 
 namespace rgbd_slam {
 
@@ -61,7 +61,7 @@ class HiddenSpace {
   void add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays);
   void mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free);
 
-  std::unordered_map<std::int64_t, std::unique_ptr<Tile>> tiles_;
+  TileGrid<Tile> tiles_;
   SeenKeyframes seen_;
 };
 

@@ -4,13 +4,12 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <cstdint>
-#include <memory>
-#include <unordered_map>
 #include <vector>
 
 #include "air_ground_common/geometry.h"
 #include "rgbd_slam/ground_cloud.h"
 #include "rgbd_slam/seen_keyframes.h"
+#include "rgbd_slam/tile_grid.h"
 
 namespace rgbd_slam {
 
@@ -39,13 +38,13 @@ class PassedSpace {
     Cell cells[kSide * kSide * kSide];
   };
   using Index = Eigen::Vector3i;
-  static std::int64_t tileOf(const Index& cell);
+  static std::int64_t tileOf(const Index& cell);  // its key
   static int inTile(const Index& cell);
   static Index cellOf(const Eigen::Vector3f& point);
   const Cell* find(const Index& cell) const;
   void add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays);
 
-  std::unordered_map<std::int64_t, std::unique_ptr<Tile>> tiles_;
+  TileGrid<Tile> tiles_;
   SeenKeyframes seen_;
   std::uint8_t vote_ = 0;  // of the keyframe that is being added
 };
