@@ -53,6 +53,9 @@ void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
   v.section("Tracking: once CONVERGED, the next refinements start from the last refined pose");
   v("tracking/lost_after", r.lost_after, {1, 1000}, "",
     "contradictions in a row (residual or heights, not mere lack of overlap) that end it");
+  v("tracking/held_agreement", r.held_agreement, {0, 1}, "",
+    "instead of min_agreement where images lead to the same pose and the geometry fixes it: heights contradict where "
+    "people or furniture have moved, and that much agreement keeps it (it does not make it CONVERGED)");
   v("tracking/coarse_distance", r.coarse_distance, {0, 1000}, "m",
     "a coarse pose disagrees when it is this far away ...");
   v("tracking/coarse_angle", r.coarse_angle, {0, 4}, "rad", "... or turned this much");

@@ -1,5 +1,9 @@
 // The decisions around the chain: which guess, tracking, loss, competition with the coarse pose.
+#include <algorithm>
+#include <cmath>
 #include <functional>
+#include <map>
+#include <utility>
 
 #include "refiner_fixture.h"
 
@@ -210,6 +214,66 @@ TEST_F(Refiner, WantOfOverlapKeepsThePoseContradictionsEndIt) {
     }
   }
   EXPECT_FALSE(refiner.tracking());
+}
+
+// What stood on the floor when the MAV flew over has gone when the ground robot comes by.
+TEST_F(Refiner, WhatHasMovedDoesNotEndAPoseThatImagesHold) {
+  // Columns of 6 cm where the ground robot saw floor and nothing on it.
+  std::map<std::pair<int, int>, float> tops;
+  const auto columnOf = [](const Eigen::Vector3f& p) {
+    return std::pair(static_cast<int>(std::floor(p.x() / 0.06f)), static_cast<int>(std::floor(p.y() / 0.06f)));
+  };
+  for (const auto& p : scene.ground.points) {
+    const auto [it, is_new] = tops.emplace(columnOf(p), p.z());
+    if (!is_new) it->second = std::max(it->second, p.z());
+  }
+  const Eigen::Affine3f to_ground(scene.T_ground_map_mav_map.cast<float>());
+  const auto floorAround = [&](std::pair<int, int> middle, float z) {
+    for (int x = -3; x <= 3; ++x) {
+      for (int y = -3; y <= 3; ++y) {
+        const auto it = tops.find({middle.first + x, middle.second + y});
+        if (it == tops.end() || std::abs(it->second - z) > 0.08f) return false;
+      }
+    }
+    return true;
+  };
+  const auto withThings = [&](std::size_t count) {
+    Cloud out = scene.aerial;
+    std::size_t made = 0;
+    for (std::size_t i = 0; i < scene.aerial.size() && made < count; i += 23) {
+      const Eigen::Vector3f p = to_ground * scene.aerial.points[i];
+      if (!floorAround(columnOf(p), p.z())) continue;
+      for (int x = -6; x <= 6; ++x)
+        for (int y = -6; y <= 6; ++y)
+          out.points.push_back(to_ground.inverse() * (p + Eigen::Vector3f(0.02f * x, 0.02f * y, 0.5f)));
+      ++made;
+    }
+    EXPECT_EQ(made, count);
+    return out;
+  };
+  KnownAlignment views;
+  views.T_ground_map_mav_map = similarity(scene.T_ground_map_mav_map);
+  views.covariance = 4e-4 * Matrix6d::Identity();
+  views.centre = scene.T_ground_map_mav_map * centre;
+  const auto tracksOn = [&](std::size_t things, bool with_views) {
+    refiner.startMap();
+    refiner.addAerial(1, scene.aerial);
+    refiner.setCoarse(scene.T_ground_map_mav_map);
+    EXPECT_EQ(refiner.refine().status, RefineStatus::kConverged);
+    if (with_views) refiner.setViews(views);
+    const Cloud moved_things = withThings(things);
+    RefineOutcome out;
+    for (int k = 0; k < 10; ++k) refiner.addAerial(10 + k, moved_things);
+    for (int k = 0; k < 4 && refiner.tracking(); ++k) {
+      refiner.addAerial(20 + k, moved_things);
+      out = refiner.refine();
+      EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
+    }
+    return refiner.tracking();
+  };
+  EXPECT_FALSE(tracksOn(25, false));
+  EXPECT_TRUE(tracksOn(25, true));
+  EXPECT_FALSE(tracksOn(65, true)) << "hardly anything is where it was";
 }
 
 TEST_F(Refiner, ViewsThatAreWithdrawnStartNothing) {

@@ -32,6 +32,8 @@ struct RefinerSettings {
   double max_rms = 0.05;            ///< largest RMS point-to-plane residual [m]
   double min_agreement = 0.7;       ///< smallest share of relief cells without contradiction (height_check.h)
   double guess_agreement = 0.85;  ///< instead of min_agreement: for what began at a guess, or far from the tracked pose
+  /// Instead of min_agreement: for keeping a tracked pose (not for believing one) where the images lead to it as well.
+  double held_agreement = 0.5;
   double max_sigma = 0.15;        ///< largest standard deviation of the position, any direction [m]
   double max_sigma_angle = 0.09;  ///< and of the rotation, any axis [rad]
   int lost_after = 3;             ///< refinements in a row that contradict the tracked pose end tracking
@@ -154,6 +156,8 @@ class AlignmentRefiner {
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
   void follow(bool from_tracking, RefineOutcome* out);
+  /// Heights that contradict the tracked pose do not end it.
+  bool imagesHold(const RefineOutcome& out) const;
   /// Farther from the tracked pose than refinements of a right one move.
   bool leaps(const RefineOutcome& out, const Eigen::Vector3d& centre) const;
   /// Takes the result back, unless other data have led to the same place. `what` it is: for the reason.
