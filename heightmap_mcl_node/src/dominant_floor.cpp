@@ -36,8 +36,8 @@ double spacingOf(const pcl::PointCloud<pcl::PointXYZ>& cloud) {
 
 }  // namespace
 
-std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f>& points, double max_tilt,
-                                               double min_share) {
+std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& up,
+                                               double max_tilt, double min_share) {
   auto cloud = pcl::make_shared<pcl::PointCloud<pcl::PointXYZ>>();
   const double step = std::max(1.0, static_cast<double>(points.size()) / kMost);
   for (double i = 0; i < static_cast<double>(points.size()); i += step) {
@@ -50,7 +50,7 @@ std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f
 
   using Model = pcl::SampleConsensusModelPerpendicularPlane<pcl::PointXYZ>;
   auto model = pcl::make_shared<Model>(cloud);
-  model->setAxis(Eigen::Vector3f::UnitZ());
+  model->setAxis(up.cast<float>());
   model->setEpsAngle(max_tilt);
   pcl::RandomSampleConsensus<pcl::PointXYZ> ransac(model, kSpacings * spacing);
   ransac.setProbability(kProbability);
@@ -66,8 +66,8 @@ std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f
   floor.share = static_cast<double>(inliers.size()) / static_cast<double>(cloud->size());
   if (floor.share < min_share || refined.size() != 4) return std::nullopt;
   floor.up = refined.head<3>().cast<double>().normalized();
-  if (floor.up.z() < 0) floor.up = -floor.up;
-  if (std::acos(std::min(1.0, floor.up.z())) > max_tilt) return std::nullopt;
+  if (floor.up.dot(up) < 0) floor.up = -floor.up;
+  if (std::acos(std::min(1.0, floor.up.dot(up))) > max_tilt) return std::nullopt;
   return floor;
 }
 

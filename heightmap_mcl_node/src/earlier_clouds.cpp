@@ -66,6 +66,7 @@ void EarlierClouds::setPrior(const Prior& prior) {
 void EarlierClouds::setOwnUnit(bool own_unit) {
   if (own_unit == own_unit_) return;
   own_unit_ = own_unit;
+  in_group_ = static_cast<std::size_t>(own_unit ? settings_.own_unit.verify : settings_.verify);
   forgetAerial();
 }
 
@@ -99,6 +100,7 @@ void EarlierClouds::begin(std::size_t end) {
   localizer_->setOwnUnit(own_unit_);
   localizer_->setPrior(prior_);
   localizer_->restart(true);
+  localizer_->setVertical(vertical_);
   if (std::exchange(ground_is_new_, false)) localizer_->setGround(ground_);
 }
 

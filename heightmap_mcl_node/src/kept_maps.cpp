@@ -12,6 +12,7 @@ namespace {
 
 constexpr double kLevelStep = 0.004;        // a smaller change of the level is not worth new maps [rad]
 constexpr double kFloorShare = 0.10;        // of the points, that a floor must hold
+constexpr double kFloorSigmas = 3;          // by which it may lean from what the MAV takes for level
 constexpr std::size_t kMostPoints = 40000;  // kept of a cloud
 constexpr double kTail = 0.005;             // of the points on each side, that do not count for the extent
 
@@ -34,6 +35,7 @@ void KeptMaps::clear() {
   clouds_.clear();
   scale_ = 1;
   R_level_.setIdentity();
+  vertical_ = {};
   floor_ = std::numeric_limits<double>::quiet_NaN();
 }
 
@@ -50,14 +52,18 @@ bool KeptMaps::add(const std::vector<Eigen::Vector3f>& points, const Eigen::Vect
   if (map.empty()) return false;
   clouds_.push_back({std::move(map), reference, {}});
   if (own_unit_) clouds_.back().points = thinnedPoints(points);
-  while (static_cast<int>(clouds_.size()) > settings_.verify) clouds_.pop_front();
+  while (clouds_.size() > most()) clouds_.pop_front();
   return true;
+}
+
+std::size_t KeptMaps::most() const {
+  return static_cast<std::size_t>(own_unit_ ? settings_.own_unit.verify : settings_.verify);
 }
 
 void KeptMaps::dropFar() {
   // A single map has a border of a cell.
   const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
-  while (clouds_.size() > 1 && unionExtent(newest(settings_.verify)) > bound) {
+  while (clouds_.size() > 1 && unionExtent(newest(static_cast<int>(clouds_.size()))) > bound) {
     clouds_.pop_front();
     ++far_dropped_;
   }
@@ -92,7 +98,9 @@ HeightMap KeptMaps::merged(int count) const {
   return std::isnan(floor_) ? map : withFloor(std::move(map), floor_);
 }
 
-HeightMap KeptMaps::mergedOnOwnFloor() const { return merge(newest(settings_.verify), settings_.merge); }
+HeightMap KeptMaps::mergedOnOwnFloor() const {
+  return merge(newest(static_cast<int>(clouds_.size())), settings_.merge);
+}
 
 HeightMap KeptMaps::mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
                           std::size_t* cropped) const {
@@ -108,9 +116,11 @@ bool KeptMaps::updateLevel() {
   if (settings_.own_unit.max_tilt <= 0) return false;
   std::vector<Eigen::Vector3f> all;
   for (const Cloud& kept : clouds_) all.insert(all.end(), kept.points.begin(), kept.points.end());
-  const auto floor = findDominantFloor(all, settings_.own_unit.max_tilt, kFloorShare);
-  if (!floor) return false;
-  const Eigen::Matrix3d R = air_ground_common::levelingRotation(floor->up);
+  double max_tilt = settings_.own_unit.max_tilt;
+  if (vertical_.stddev > 0) max_tilt = std::min(max_tilt, kFloorSigmas * vertical_.stddev);
+  const auto floor = findDominantFloor(all, vertical_.up, max_tilt, kFloorShare);
+  if (!floor && !(vertical_.stddev > 0)) return false;
+  const Eigen::Matrix3d R = air_ground_common::levelingRotation(floor ? floor->up : vertical_.up);
   if (air_ground_common::rotationAngle(R, R_level_) < kLevelStep) return false;
   R_level_ = R;
   return true;

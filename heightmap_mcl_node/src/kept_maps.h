@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "air_ground_common/vertical.h"
 #include "heightmap_mcl/localizer_settings.h"
 
 namespace heightmap_mcl {
@@ -19,7 +20,7 @@ struct LevelCloud {
   double extent = 0;  ///< longer edge in plan
 };
 
-/// Keeps the last `verify` clouds as height maps. Clouds in a unit of their own keep their points besides, and are made
+/// Keeps the last `verify` clouds as height maps (of clouds in a unit of their own `own_unit.verify`). Clouds in a unit of their own keep their points besides, and are made
 /// anew where level or scale change; a point p of theirs lies at scale() * level() * p.
 class KeptMaps {
  public:
@@ -56,6 +57,8 @@ class KeptMaps {
   Eigen::Vector2d reference() const;
   /// Of the newest `count` ones, on the floor that was set.
   HeightMap merged(int count) const;
+  /// Of all.
+  HeightMap merged() const { return merged(static_cast<int>(clouds_.size())); }
   /// Of all, on the floor that they show themselves.
   HeightMap mergedOnOwnFloor() const;
   /// z of the floor of merged maps [m]; NaN: their own.
@@ -63,7 +66,10 @@ class KeptMaps {
 
   double scale() const { return scale_; }  ///< [m per unit]
   const Eigen::Matrix3d& level() const { return R_level_; }
-  /// Turns the clouds' dominant floor level. Returns false where none is found or it is level: remake() else.
+  /// What the MAV knows of up in its map, of clouds in a unit of their own; its z axis until then.
+  void setVertical(const air_ground_common::Vertical& vertical) { vertical_ = vertical; }
+  /// Turns the clouds' dominant floor level; where there is none, what the MAV takes for level. Returns false where
+  /// that is level already: remake() else.
   bool updateLevel();
   /// All height maps anew, at that scale and the present level.
   void remake(double scale);
@@ -71,6 +77,7 @@ class KeptMaps {
   LevelCloud levelCloud(std::size_t most) const;
 
  private:
+  std::size_t most() const;  ///< clouds that are kept
   HeightMap mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
                   std::size_t* cropped = nullptr) const;
   std::vector<const HeightMap*> newest(int count) const;
@@ -78,6 +85,7 @@ class KeptMaps {
   HeightMapLocalizerSettings settings_;
   std::deque<Cloud> clouds_;
   bool own_unit_ = false;
+  air_ground_common::Vertical vertical_;
   double scale_ = 1;
   Eigen::Matrix3d R_level_ = Eigen::Matrix3d::Identity();
   double floor_ = std::numeric_limits<double>::quiet_NaN();

@@ -54,6 +54,8 @@ void HeightMapLocalizer::setOwnUnit(bool own_unit) {
   restart(true);
 }
 
+void HeightMapLocalizer::setVertical(const air_ground_common::Vertical& vertical) { kept_->setVertical(vertical); }
+
 void HeightMapLocalizer::forgetGround() {
   ground_.reset();
   restart(false);
@@ -127,7 +129,7 @@ bool HeightMapLocalizer::stillStands() const {
   if (!estimate_.has_pose || settings_.mode == Mode::kPaper) return false;
   const auto now = static_cast<double>(ground_->map().defined()), then = static_cast<double>(searched_cells_);
   if (now > kGrowth * then || then > kGrowth * now) return false;
-  const HeightMap map = kept_->merged(settings_.verify);
+  const HeightMap map = kept_->merged();
   const Comparison compare = comparison();
   const AerialCells cells = compare.cellsOf(map, centerOf(map));
   const Placement place =
@@ -145,7 +147,7 @@ void HeightMapLocalizer::drawFromKeptMaps() {
   updateScale();
   updateFloor();
   filter_map_ = kept_->merged(settings_.accumulate);
-  filter_.initialize(verifyVolume(kept_->merged(settings_.verify)), prior_, kept_->reference());
+  filter_.initialize(verifyVolume(kept_->merged()), prior_, kept_->reference());
 }
 
 void HeightMapLocalizer::hearKeptMaps() {
@@ -171,7 +173,8 @@ void HeightMapLocalizer::useNewestMap() {
 }
 
 void HeightMapLocalizer::dropFarMaps() {
-  if (!scaleIsOpen()) kept_->dropFar();  // else nobody knows yet how large they are
+  // Nobody knows how large those without scale are before they have been placed.
+  if (!kept_->ownUnit() || estimate_.status == Status::kConverged) kept_->dropFar();
 }
 
 /// Level and scale at which the kept clouds fit best; the kept maps are made anew where these have changed.
@@ -209,7 +212,7 @@ void HeightMapLocalizer::updateFilter() {
     weighed_ = weighBy(filter_map_);
     if (weighed_ || settings_.mode == Mode::kPaper) return;
     // The last clouds lie outside the ground map: those before them still tell.
-    weighed_ = weighBy(kept_->merged(settings_.verify));
+    weighed_ = weighBy(kept_->merged());
     if (weighed_) return;
     ++restarts_;
   }
@@ -266,7 +269,7 @@ void HeightMapLocalizer::estimateFromPlaces(bool new_map) {
   e.mode_spread = std::sqrt(mode.covariance.topLeftCorner<2, 2>().trace() / 2);
   e.mode_spread_yaw = std::sqrt(mode.covariance(2, 2));
 
-  const HeightMap map = kept_->merged(settings_.verify);
+  const HeightMap map = kept_->merged();
   const CostVolume& volume = verifyVolume(map);
   const PlanarPose mean = changeReference(mode.mean, filter_.reference(), centerOf(map));
   const auto found = search().find(map, volume, {mean, evidence_->place(), floor_rivals_});
@@ -300,7 +303,7 @@ void HeightMapLocalizer::believe(const FoundPlace& found, bool new_map) {
   if (new_map) evidence_->add(e.evidence_lead, speaksFor(e, settings_.verdict), speaksForGuess(e, settings_.verdict));
   e.evidence = evidence_->sum();
   e.guess_evidence = evidence_->guessSum();
-  Verdict verdict = judge(e, settings_.verdict, !kept_->ownUnit());
+  Verdict verdict = judge(e, settings_.verdict, true);
   e.status = verdict.status;
   e.reason = std::move(verdict.reason);
   e.guess = verdict.guess;

@@ -54,6 +54,8 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
   v("verify", s.verify, {1, 200}, "",
     "aerial clouds merged into the map that refines the estimate and looks for rivals. The MAV's drift over them "
     "should stay below a few cells. At least accumulate");
+  v("verify_own_unit", s.own_unit.verify, {1, 200}, "",
+    "the same of a MAV without IMU: what a few clouds show fits somewhere at many scales");
   v.choice("merge", s.merge, {{"highest", Merge::kHighest}, {"mean", Merge::kMean}},
            "of the clouds' heights in a cell; the highest of many collects their noise");
 
@@ -154,12 +156,13 @@ void validate(const HeightMapLocalizerSettings& s) {
   validate(CostSettings{s.min_overlap, 0, s.min_explained, s.verdict.min_relief});
   validate(s.filter);
   require(s.own_unit.scale_max >= s.own_unit.scale_min, "scale_max must not be less than scale_min");
-  require(s.verify >= s.accumulate, "verify must not be less than accumulate");
+  require(std::min(s.verify, s.own_unit.verify) >= s.accumulate,
+          "verify and verify_own_unit must not be less than accumulate");
 }
 
 HeightMapLocalizerSettings paperSettings(HeightMapLocalizerSettings s) {
   s.mode = Mode::kPaper;
-  s.accumulate = s.verify = 1;
+  s.accumulate = s.verify = s.own_unit.verify = 1;
   s.merge = Merge::kHighest;
   s.air_map.tops = s.ground_map.tops = Tops::kHighest;
   s.unknown_weight = s.min_explained = 0;

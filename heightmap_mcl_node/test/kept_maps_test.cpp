@@ -96,5 +96,25 @@ TEST(KeptMaps, CloudsOfAnotherUnitAreMadeLevelAndMetric) {
   EXPECT_TRUE(kept.ownUnit()) << "what the clouds to come are";
 }
 
+// A drone's camera that looks half down, and nothing says how it is mounted: the map's z axis leans by 50 degrees.
+TEST(KeptMaps, CloudsAreLevelWhereTheMavSaysThatUpIs) {
+  const Eigen::Matrix3d R_raw_level = air_ground_common::expSO3({0, 0.87, 0});
+  std::vector<Eigen::Vector3f> raw;
+  for (const auto& p : block()) raw.push_back((R_raw_level * p.cast<double>()).cast<float>());
+  const auto leanWith = [&](const air_ground_common::Vertical& vertical) {
+    KeptMaps kept(keeping(2));
+    kept.setOwnUnit(true);
+    kept.setVertical(vertical);
+    EXPECT_TRUE(kept.add(raw, Eigen::Vector3d::Zero(), nullptr));
+    kept.updateLevel();
+    return std::acos(std::min(1.0, (kept.level() * R_raw_level * Eigen::Vector3d::UnitZ()).z()));
+  };
+  EXPECT_GT(leanWith({}), 0.3) << "beyond max_tilt of the map's z axis";
+  const Eigen::Vector3d nearly = air_ground_common::expSO3({0.03, -0.03, 0}) * R_raw_level.col(2);
+  EXPECT_LT(leanWith({nearly, 0.03}), 0.01) << "the floor tells the rest";
+  const Eigen::Vector3d far = air_ground_common::expSO3({0.3, 0, 0}) * R_raw_level.col(2);
+  EXPECT_NEAR(leanWith({far, 0.03}), 0.3, 0.1) << "no floor near there: as the MAV says";
+}
+
 }  // namespace
 }  // namespace heightmap_mcl

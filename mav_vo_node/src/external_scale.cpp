@@ -74,6 +74,7 @@ VoResult ExternalScale::metric(const VoResult& visual) const {
   if (!S) return visual;
   VoResult r = visual;
   r.metric = true;
+  r.vertical = {};  // level as far as the alignment is
   if (r.state == OdometryState::kScaling) {
     r.state = OdometryState::kTracking;
     r.reason = "scale from the ground map";

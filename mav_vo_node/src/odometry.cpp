@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/covariance.h"
+#include "flown_level.h"
 #include "increment.h"
 #include "odometry_impl.h"
 
@@ -271,6 +272,16 @@ double Odometry::Impl::mapTilt() const {
   return std::hypot(kMapTilt, std::min(bias_stddev, kMeanAccel / std::max(turned, 1e-6)) / kGravity);
 }
 
+air_ground_common::Vertical Odometry::Impl::flownVertical() const {
+  std::vector<FlownAttitude> attitudes;
+  for (const auto& [id, keyframe] : map.keyframes()) {
+    const Eigen::Matrix3d& R_map_camera = keyframe.T_map_camera.linear();
+    attitudes.push_back({keyframe.stamp, R_map_camera * T_base_camera.linear().transpose() * Eigen::Vector3d::UnitY(),
+                         R_map_camera * Eigen::Vector3d(0, 1, 1)});
+  }
+  return verticalOfFlight(attitudes);
+}
+
 // Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map
 // leave open, which grows from its origin.
 Matrix6d Odometry::Impl::mapCovariance(double tilt_stddev) const {
@@ -300,7 +311,10 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->increment = increment;
   result->scale = estimate.initialized() ? estimate.scale() : 1.0;
   result->scale_stddev = result->scale * scale.relativeStddev();
-  if (metric() && settings.use_imu) result->tilt_stddev = mapTilt();
+  if (!settings.use_imu)
+    result->vertical = flownVertical();
+  else if (metric())
+    result->vertical.stddev = mapTilt();
   result->imu_bias = bias;
   result->gyro_bias_stddev = imu.gyroBiasStddev();
   result->time_offset = imu.timeOffset();
@@ -316,7 +330,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->depth_min = pose.depthMin();
   result->depth_max = pose.depthMax();
   result->T_map_camera = pose.pose();
-  result->camera_covariance = mapCovariance(result->tilt_stddev);
+  result->camera_covariance = mapCovariance(settings.use_imu ? result->vertical.stddev : 0);
   // In the visual unit the lever arm between camera and base_link is not known: the base is put at the camera.
   Pose T_camera_base = T_base_camera.inverse();
   if (!metric()) T_camera_base.translation() *= estimate.initialized() ? 1.0 / estimate.scale() : 0.0;

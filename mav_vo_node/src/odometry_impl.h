@@ -34,6 +34,7 @@ struct Odometry::Impl {
   Increment incrementSince(const Pose& T_map_previous) const;
   void fillResult(VoResult* result) const;
   double mapTilt() const;  ///< of a metric map against gravity, standard deviation [rad]
+  air_ground_common::Vertical flownVertical() const;  ///< of a map without IMU
   /// Of the camera's pose; `tilt_stddev`: of mapTilt(), 0 where the map is not metric.
   Matrix6d mapCovariance(double tilt_stddev) const;
   void reset();

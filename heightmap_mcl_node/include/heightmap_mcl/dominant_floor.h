@@ -8,14 +8,14 @@
 namespace heightmap_mcl {
 
 struct DominantFloor {
-  Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  ///< unit normal, on the side of +z
+  Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  ///< unit normal, on the side of the given one
   double share = 0;                               ///< of the points that lie on the plane
 };
 
-/// The plane that holds most of the points among those whose normal is within `max_tilt` [rad] of z (RANSAC, then least
+/// The plane that holds most of the points among those whose normal is within `max_tilt` [rad] of `up` (RANSAC, then least
 /// squares over its points). Free of units: a point lies on it within two spacings of the cloud. Empty when no such
 /// plane holds `min_share` of the points. Deterministic.
-std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f>& points, double max_tilt,
-                                               double min_share);
+std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& up,
+                                               double max_tilt, double min_share);
 
 }  // namespace heightmap_mcl

@@ -35,6 +35,7 @@ class EarlierClouds {
   /// As HeightMapLocalizer's; what has been searched is searched again.
   void setPrior(const Prior& prior);
   void setOwnUnit(bool own_unit);
+  void setVertical(const air_ground_common::Vertical& vertical) { vertical_ = vertical; }
 
   /// Whether a group is worth a search.
   bool pending() const;
@@ -68,6 +69,7 @@ class EarlierClouds {
   bool ground_is_new_ = false;  // to the localizer
   Prior prior_;
   bool own_unit_ = false;
+  air_ground_common::Vertical vertical_;
 
   std::unique_ptr<HeightMapLocalizer> localizer_;  // null until a group is searched
   std::vector<std::int64_t> group_;                // stamps that are left of the present one, the oldest last

@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "air_ground_common/vertical.h"
 #include "heightmap_mcl/coarse_estimate.h"
 #include "heightmap_mcl/localizer_settings.h"
 #include "heightmap_mcl/particle_filter.h"
@@ -55,6 +56,10 @@ class HeightMapLocalizer {
   /// The aerial clouds are of a map in a unit of its own that is level only within max_tilt: their scale is searched
   /// for too, and they are turned so that their dominant floor is level. Forgets the aerial clouds if that is new.
   void setOwnUnit(bool own_unit);
+
+  /// What the MAV knows of up in the map of such clouds, from the next cloud on; until then, and with a `stddev` of 0,
+  /// its z axis within max_tilt.
+  void setVertical(const air_ground_common::Vertical& vertical);
 
   /// Used from the next (re)start on; pass {} to search everywhere.
   void setPrior(const Prior& prior);

@@ -22,10 +22,11 @@ HeightMapSettings boundedMap(bool drop_hanging);
 /// Aerial clouds of a map without scale, see HeightMapLocalizer::setOwnUnit. Its unit is the distance of what the MAV
 /// saw at the map's start, and all distances in these bounds are equally likely by order of magnitude.
 struct OwnUnitSettings {
-  double scale_min = 0.3;       ///< [m per unit]
+  double scale_min = 0.05;      ///< [m per unit]
   double scale_max = 30;        ///< [m per unit]
   double max_tilt = 0.6;        ///< of that map's z axis from the vertical [rad]; 0: it is vertical
   double scale_evidence = 0.1;  ///< see CoarseEstimate: little, since the verdict on the place tells scales apart, too
+  int verify = 32;              ///< as HeightMapLocalizerSettings::verify: what few clouds show fits at many scales
 };
 
 /// What makes another place of one that was found.

@@ -137,6 +137,8 @@ class HeightmapMclNode {
         useCompass();
         localizer_.setOwnUnit(work->own_unit);
         earlier_.setOwnUnit(work->own_unit);
+        localizer_.setVertical(work->vertical);
+        earlier_.setVertical(work->vertical);
         if (work->ground) useGround(work->ground, work->ground_corrected);
         for (const AerialMessage& msg : work->passed_by) keepForLater(msg, work->own_unit);
         if (work->aerial.cloud) useAerial(work->aerial, work->own_unit);

@@ -87,7 +87,11 @@ void Inbox::addOdometry(const nav_msgs::OdometryConstPtr& msg) {
 
 void Inbox::addMavStatus(const air_ground::VoStatusConstPtr& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  mav_.admitStatus(kMavStatus, *msg);
+  // Once scaled, the MAV speaks of its metric map.
+  if (!mav_.admitStatus(kMavStatus, *msg) || msg->state != air_ground::VoStatus::STATE_SCALING) return;
+  const Eigen::Vector3d up(msg->up.x, msg->up.y, msg->up.z);
+  if (msg->tilt_stddev > 0 && std::isfinite(msg->tilt_stddev) && up.allFinite() && up.norm() > 0.5)
+    mav_vertical_ = {up.normalized(), msg->tilt_stddev};
 }
 
 void Inbox::addGroundStatus(const air_ground::VoStatusConstPtr& msg) {
@@ -150,6 +154,7 @@ void Inbox::forgetAerial() {
   stamps_.clear();
   odometry_.clear();
   corrections_.reset();
+  mav_vertical_ = {};
   command_.forget_aerial = true;
   endSearch();
 }
@@ -206,6 +211,7 @@ std::optional<Work> Inbox::next(const std::optional<double>& patience) {
     work.map_id = mav_.map().id().value_or(0);
     work.ground_map_id = ground_robot_.map().id().value_or(0);
     work.own_unit = mav_.map().ownUnit();
+    work.vertical = mav_vertical_;
     work.ground_frame = ground_robot_.map().frame();
     work.mav_frame = mav_.map().frame();
     return work;

@@ -22,6 +22,7 @@
 #include "air_ground_common/ros/recent_stamps.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "air_ground_common/trajectory.h"
+#include "air_ground_common/vertical.h"
 #include "node_parameters.h"
 
 namespace heightmap_mcl {
@@ -49,6 +50,7 @@ struct Work {
   AerialMessage aerial;
   std::vector<AerialMessage> passed_by;  // older ones that came faster than they were searched
   bool own_unit = false;                 // the aerial clouds are of a map without scale
+  air_ground_common::Vertical vertical;  // of that map
   std::uint32_t map_id = 0, ground_map_id = 0;
   std::string ground_frame, mav_frame;
   std::optional<air_ground_common::CloudCorrections> corrections;
@@ -118,6 +120,7 @@ class Inbox {
   Cloud ground_;
   ros::Time ground_stamp_;  // of the last one that came
   bool ground_corrected_ = false;
+  air_ground_common::Vertical mav_vertical_;  // of a map without scale
   std::optional<air_ground_common::CloudCorrections> corrections_;
   air_ground_common::ros_utils::RobotMapInput mav_, ground_robot_;
   air_ground_common::Trajectory odometry_;

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "air_ground_common/trajectory.h"
+#include "air_ground_common/vertical.h"
 #include "mav_vo/bootstrap.h"
 #include "mav_vo/gyro_alignment.h"
 #include "mav_vo/imu_preintegration.h"
@@ -132,7 +133,8 @@ struct VoResult {
   double scale = 1, scale_stddev = 0;   ///< metric over map unit; the deviation is infinite while unknown
   std::uint32_t map_revision = 0;       ///< counts changes of the calibration: what earlier poses made is off
   std::uint32_t map_corrections = 0;    ///< counts changes of earlier poses by more than 0.2 % of the scene's distance
-  double tilt_stddev = 0;               ///< of the map's z axis against gravity [rad]; 0: not known
+  /// Up in the map: its z axis where it is level; without IMU, what the vehicle's level flight tells.
+  air_ground_common::Vertical vertical;
   ImuBias imu_bias;                     ///< as used for this image
   double gyro_bias_stddev = 0;          ///< of the least certain axis [rad/s]
   double time_offset = 0;               ///< t_imu = t_image + time_offset, of the same instant on both clocks [s]

@@ -51,8 +51,10 @@ air_ground::VoStatus statusMessage(const VoResult& r) {
   status.map_points = static_cast<std::uint32_t>(r.landmarks);
   status.scale = r.scale;
   status.scale_stddev = r.scale_stddev;
-  status.tilt_stddev = r.tilt_stddev;
-  status.up.z = 1;
+  status.tilt_stddev = r.vertical.stddev;
+  status.up.x = r.vertical.up.x();
+  status.up.y = r.vertical.up.y();
+  status.up.z = r.vertical.up.z();
   status.map_revision = r.map_revision;
   status.processing_time = r.seconds;
   status.reason = r.reason;
