@@ -58,14 +58,14 @@ void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& 
   if (coarse_known_) follow(coarse_stamp_, &coarse_known_->T_ground_map_mav_map);
 }
 
-void AlignmentRefiner::setCoarse(const Pose& T, bool sure) {
+void AlignmentRefiner::setCoarse(const Similarity& T, bool sure) {
   coarse_ = T;
   coarse_sure_ = sure;
   coarse_known_.reset();
 }
 
 void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
-  setCoarse(poseOf(coarse.T_ground_map_mav_map));
+  setCoarse(coarse.T_ground_map_mav_map);
   coarse_known_ = coarse;
   coarse_stamp_ = aerial_.newestStamp();
 }
@@ -101,6 +101,11 @@ void AlignmentRefiner::setManual(const Pose& T) { manual_ = T; }
 
 void AlignmentRefiner::setScaleDeviation(double stddev) {
   if (std::isfinite(stddev)) scale_.stddev = std::max(settings_.scale.stddev, stddev);
+}
+
+void AlignmentRefiner::setScalePrior(double mean, double stddev) {
+  scale_.mean = mean;
+  setScaleDeviation(stddev);
 }
 
 Priors AlignmentRefiner::priors() const {
@@ -162,7 +167,7 @@ Cloud AlignmentRefiner::prepareReading() {
   AerialClouds::Reading reading = tracked_  ? aerial_.newest()
                                   : manual_ ? on(similarity(*manual_))
                                   : views_  ? on(views_->T_ground_map_mav_map)
-                                            : on(similarity(*coarse_));
+                                            : on(*coarse_);
   reading_stamp_ = reading.stamp;
   return chain_.prepareReading(std::move(reading.cloud));
 }
@@ -171,18 +176,18 @@ Cloud AlignmentRefiner::prepareReading() {
 void AlignmentRefiner::countDisagreement(const Eigen::Vector3d& centre) {
   if (!tracked_ || !coarse_ || !coarse_sure_) return;
   const double distance = (*tracked_ * centre - *coarse_ * centre).head<2>().norm();
-  const double angle = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->R) -
-                                                             air_ground_common::yawOf(coarse_->linear())));
+  const double angle = std::abs(
+      air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->R) - air_ground_common::yawOf(coarse_->R)));
   const bool disagrees = distance > settings_.coarse_distance || angle > settings_.coarse_angle;
   disagreements_ = disagrees ? disagreements_ + 1 : 0;
 }
 
-RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading, const Eigen::Vector3d& centre) {
+RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
   RefineOutcome out = attempt(reading, *tracked_);
   // A loop closure moves the ground map by more than ICP reaches from the last pose.
   const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
   if (moved_grounds_ > 0 && out.status != RefineStatus::kConverged && !too_little) {
-    RefineOutcome other = attemptFromGuess(reading, rigidAt(*tracked_, centre), true);
+    RefineOutcome other = attemptFromGuess(reading, *tracked_, true);
     if (other.status == RefineStatus::kConverged) out = other;
   }
   out.tracking = true;
@@ -277,7 +282,7 @@ RefineOutcome AlignmentRefiner::refine() {
   std::string refused;
   bool decided = false;
   if (manual_) {
-    out = attemptFromGuess(reading, *manual_);
+    out = attemptFromGuess(reading, similarity(*manual_));
     manual_.reset();
     decided = out.status == RefineStatus::kConverged || (!tracked_ && !coarse_ && !views_);
     if (decided)
@@ -286,7 +291,7 @@ RefineOutcome AlignmentRefiner::refine() {
       refused = "; the manual guess was not taken: " + out.reason;
   }
   const bool from_tracking = tracked_ && !decided;
-  if (!decided) out = from_tracking ? refineTracked(reading, centre) : refineGuessed(reading);
+  if (!decided) out = from_tracking ? refineTracked(reading) : refineGuessed(reading);
   const bool guessed = !decided && !from_tracking && coarse_ && !coarse_sure_ && !out.seen;
   if (guessed && out.status == RefineStatus::kConverged) demandConfirmation("refined from a guess", centre, &out);
   if (from_tracking && leaps(out, centre)) demandConfirmation("far from the last pose", centre, &out);
@@ -307,12 +312,18 @@ RefineOutcome AlignmentRefiner::refineGuessed(const Cloud& reading) {
   return other.status == RefineStatus::kConverged ? other : out;
 }
 
-RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged) {
+Similarity AlignmentRefiner::startAt(const Pose& guess, const Eigen::Vector3d& point) const {
+  return {scale_.mean, guess.linear(), guess * point - scale_.mean * (guess.linear() * point)};
+}
+
+RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, const Similarity& from, bool until_converged) {
+  const Eigen::Vector3d point = middle(reading);
+  Pose guess = rigidAt(from, point);
   // The height is the one thing that the maps tell at once, and a guess drawn on a plane knows nothing of it.
-  const auto dz = heights_->offset(transformed(reading, guess));
+  const auto dz = heights_->offset(transformed(reading, startAt(guess, point)));
   if (dz) guess.translation().z() += *dz;
-  RefineOutcome best = attempt(reading, similarity(guess, scale_.mean));
-  const Eigen::Vector3d centre = guess * middle(reading);
+  RefineOutcome best = attempt(reading, startAt(guess, point));
+  const Eigen::Vector3d centre = guess * point;
   const auto open = [&] {
     return best.status == RefineStatus::kRejected || best.contradicted ||
            (until_converged && best.status != RefineStatus::kConverged);
@@ -324,7 +335,7 @@ RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose gues
     shift.linear() = R;
     shift.translation() =
         centre + settings_.retry_distance * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0) - R * centre;
-    RefineOutcome other = attempt(reading, similarity(shift * guess, scale_.mean));
+    RefineOutcome other = attempt(reading, startAt(shift * guess, point));
     if (other.status == RefineStatus::kConverged) {
       other.reason += formatted("; from a start %.2f m beside the guess", settings_.retry_distance);
       best = other;

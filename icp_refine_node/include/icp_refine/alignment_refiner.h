@@ -95,7 +95,10 @@ class AlignmentRefiner {
   /// Coarse pose of a global localization. Not `sure`: a guess that the heights do not fix sharply; what is refined
   /// from it is believed when another aerial cloud, or a ground map that shows a quarter more of what stands there,
   /// confirms it from a coarse pose of its own.
-  void setCoarse(const Pose& T_ground_map_mav_map, bool sure = true);
+  void setCoarse(const Similarity& T_ground_map_mav_map, bool sure = true);
+  void setCoarse(const Pose& T_ground_map_mav_map, bool sure = true) {
+    setCoarse(similarity(T_ground_map_mav_map), sure);
+  }
   /// A sure one, and how well its stage knows it: directions that the geometry does not fix stay where it has them, and
   /// are known as well as there.
   void setCoarse(const KnownAlignment& coarse);
@@ -115,6 +118,9 @@ class AlignmentRefiner {
   /// What the MAV's odometry says of its scale: relative standard deviation. Counts when it is larger than the
   /// settings'.
   void setScaleDeviation(double stddev);
+  /// Of an aerial map that was made metric by what another stage knows of its scale: what is left for it, and how well
+  /// that stage knows it (relative).
+  void setScalePrior(double mean, double stddev);
   /// What the robots know of gravity in their maps: where both do, the maps' verticals are parallel as surely as that.
   void setAerialVertical(const Vertical& vertical) { aerial_vertical_ = vertical; }
   void setGroundVertical(const Vertical& vertical) { ground_vertical_ = vertical; }
@@ -154,7 +160,7 @@ class AlignmentRefiner {
   void compareWithViews(RefineOutcome& out) const;
   void compareWithCoarse(RefineOutcome& out) const;
   void countDisagreement(const Eigen::Vector3d& centre);
-  RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
+  RefineOutcome refineTracked(const Cloud& reading);
   void follow(bool from_tracking, RefineOutcome* out);
   /// Heights that contradict the tracked pose do not end it.
   bool imagesHold(const RefineOutcome& out) const;
@@ -164,7 +170,9 @@ class AlignmentRefiner {
   void demandConfirmation(const char* what, const Eigen::Vector3d& centre, RefineOutcome* out);
   RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
   /// `until_converged`: tries starts around the guess also where the geometry leaves its first result open.
-  RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged = false);
+  RefineOutcome attemptFromGuess(const Cloud& reading, const Similarity& guess, bool until_converged = false);
+  /// With the scale that is the likeliest; the guess is right at the point, of the aerial map.
+  Similarity startAt(const Pose& guess, const Eigen::Vector3d& point) const;
   /// Why the result is not to be believed, if so: sets status and reason.
   void judge(RefineOutcome& out) const;
 
@@ -176,7 +184,8 @@ class AlignmentRefiner {
   std::optional<GroundHeights> heights_;  ///< of the reference
   AerialClouds aerial_;
   std::int64_t reading_stamp_ = 0;  ///< of the newest cloud that is refined [ns]
-  std::optional<Pose> coarse_, manual_;
+  std::optional<Similarity> coarse_;
+  std::optional<Pose> manual_;
   bool coarse_sure_ = true;
   std::optional<KnownAlignment> coarse_known_;
   std::int64_t coarse_stamp_ = 0;  ///< of the newest cloud when that came [ns]

@@ -281,24 +281,17 @@ void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
   for (const auto& [stamp, points] : own_clouds_.clouds()) addAerial(stamp, points);
 }
 
-void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
-  const Similarity& T = coarse.T_ground_map_mav_map;
-  if (!own_unit_) {
-    if (coarse.sure && coarse.covariance.diagonal().minCoeff() > 0)
-      refiner_.setCoarse(coarse);
-    else
-      refiner_.setCoarse(poseOf(T), coarse.sure);
-    return;
+void RefineWorker::useCoarse(CoarseAlignment coarse) {
+  if (own_unit_) {
+    makeMetric(coarse.T_ground_map_mav_map);
+    coarse.T_ground_map_mav_map = compose(coarse.T_ground_map_mav_map, inverse(*T_metric_visual_));
+    coarse.scale_stddev = std::max(kWeakScale, coarse.scale_stddev);
+    refiner_.setScalePrior(coarse.T_ground_map_mav_map.scale, coarse.scale_stddev);
   }
-  makeMetric(T);
-  refiner_.setScaleDeviation(std::max(kWeakScale, coarse.scale_stddev));
-  // Rigid, and right where the newest cloud is.
-  Eigen::Vector3d middle = Eigen::Vector3d::Zero();
-  if (!own_clouds_.empty()) {
-    const auto& points = own_clouds_.clouds().back().second;
-    for (const auto& p : points) middle += p.position.cast<double>() / static_cast<double>(points.size());
-  }
-  refiner_.setCoarse(rigidAt(compose(T, inverse(*T_metric_visual_)), *T_metric_visual_ * middle));
+  if (coarse.sure && coarse.covariance.diagonal().minCoeff() > 0)
+    refiner_.setCoarse(coarse);
+  else
+    refiner_.setCoarse(coarse.T_ground_map_mav_map, coarse.sure);
 }
 
 void RefineWorker::useViews(KnownAlignment views) {

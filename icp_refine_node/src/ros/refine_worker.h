@@ -85,7 +85,7 @@ class RefineWorker {
   std::optional<Similarity> trackedInMavMap() const;
   /// Of a map without scale: what makes it about metric and level. A start afresh where that differs from before.
   void makeMetric(const Similarity& T_ground_visual);
-  void useCoarse(const CoarseAlignment& coarse);
+  void useCoarse(CoarseAlignment coarse);
   void useViews(KnownAlignment views);
   void refine();
   void dropMapPose();
