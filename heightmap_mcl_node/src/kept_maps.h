@@ -20,8 +20,9 @@ struct LevelCloud {
   double extent = 0;  ///< longer edge in plan
 };
 
-/// Keeps the last `verify` clouds as height maps (of clouds in a unit of their own `own_unit.verify`). Clouds in a unit of their own keep their points besides, and are made
-/// anew where level or scale change; a point p of theirs lies at scale() * level() * p.
+/// Keeps the last `verify` clouds as height maps (of clouds in a unit of their own `own_unit.verify`). Clouds in a unit
+/// of their own keep their points besides, and are made anew where level or scale change; a point p of theirs lies at
+/// scale() * level() * p.
 class KeptMaps {
  public:
   struct Cloud {

@@ -33,7 +33,7 @@ struct Odometry::Impl {
   void localized(const cv::Mat& gray, bool continuous);  ///< bookkeeping after a pose was found
   Increment incrementSince(const Pose& T_map_previous) const;
   void fillResult(VoResult* result) const;
-  double mapTilt() const;  ///< of a metric map against gravity, standard deviation [rad]
+  double mapTilt() const;                             ///< of a metric map against gravity, standard deviation [rad]
   air_ground_common::Vertical flownVertical() const;  ///< of a map without IMU
   /// Of the camera's pose; `tilt_stddev`: of mapTilt(), 0 where the map is not metric.
   Matrix6d mapCovariance(double tilt_stddev) const;

@@ -264,7 +264,8 @@ TEST(Odometry, TheTiltItStatesIsHonestAtOneHeading) {
       if (!r.metric || !r.pose_valid) continue;
       const Pose T = options.flight.T_world_imu(r.stamp) * synthetic::T_imu_camera();
       const Eigen::Vector3d up = r.T_map_camera.linear() * T.linear().transpose() * Eigen::Vector3d::UnitZ();
-      EXPECT_LT(std::acos(std::min(1.0, up.z())), 3 * r.vertical.stddev) << yaw_rate << " rad/s, at " << r.stamp << " s";
+      EXPECT_LT(std::acos(std::min(1.0, up.z())), 3 * r.vertical.stddev)
+          << yaw_rate << " rad/s, at " << r.stamp << " s";
     }
     if (yaw_rate == 0) stated = o.frames.back().vertical.stddev;
     if (yaw_rate > 0) {

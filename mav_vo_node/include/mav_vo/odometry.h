@@ -135,12 +135,12 @@ struct VoResult {
   std::uint32_t map_corrections = 0;    ///< counts changes of earlier poses by more than 0.2 % of the scene's distance
   /// Up in the map: its z axis where it is level; without IMU, what the vehicle's level flight tells.
   air_ground_common::Vertical vertical;
-  ImuBias imu_bias;                     ///< as used for this image
-  double gyro_bias_stddev = 0;          ///< of the least certain axis [rad/s]
-  double time_offset = 0;               ///< t_imu = t_image + time_offset, of the same instant on both clocks [s]
-  double time_offset_stddev = 0;        ///< [s]; 0 = given, not estimated
-  double readout_time = 0;              ///< of a rolling shutter, as it is in use [s]
-  double readout_time_stddev = 0;       ///< of its estimate [s]; 0 = given, not estimated
+  ImuBias imu_bias;                ///< as used for this image
+  double gyro_bias_stddev = 0;     ///< of the least certain axis [rad/s]
+  double time_offset = 0;          ///< t_imu = t_image + time_offset, of the same instant on both clocks [s]
+  double time_offset_stddev = 0;   ///< [s]; 0 = given, not estimated
+  double readout_time = 0;         ///< of a rolling shutter, as it is in use [s]
+  double readout_time_stddev = 0;  ///< of its estimate [s]; 0 = given, not estimated
   /// Turns what the IMU reads into the axes that T_base_imu was given for, as it is in use.
   Eigen::Matrix3d R_given_imu = Eigen::Matrix3d::Identity();
   double accel_noise = 0;          ///< density in use: as given, or as its samples show [m/s^2/sqrt(Hz)]; 0 without IMU
