@@ -303,7 +303,7 @@ void HeightMapLocalizer::believe(const FoundPlace& found, bool new_map) {
   if (new_map) evidence_->add(e.evidence_lead, speaksFor(e, settings_.verdict), speaksForGuess(e, settings_.verdict));
   e.evidence = evidence_->sum();
   e.guess_evidence = evidence_->guessSum();
-  Verdict verdict = judge(e, settings_.verdict, true);
+  Verdict verdict = judge(e, settings_.verdict);
   e.status = verdict.status;
   e.reason = std::move(verdict.reason);
   e.guess = verdict.guess;

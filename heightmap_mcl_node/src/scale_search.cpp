@@ -15,6 +15,7 @@ constexpr double kTrackStep = 0.012;             // around a scale that has conv
 constexpr int kFineCells = 100;                  // across the aerial map, around a place
 constexpr int kFullCells = 1000;                 // the maps' own cells, unless the aerial map is huge
 constexpr double kLargest = 2.5;                 // edges of the ground map that the aerial one may be long
+constexpr double kSmallest = 1.0;                // that its edge may be [m]: less stands nowhere alone
 constexpr std::size_t kMostPoints = 20000;       // in large cells
 constexpr std::size_t kMostFullPoints = 400000;  // in the maps' own
 constexpr std::size_t kPeaks = 5;                // scales that are refined
@@ -57,7 +58,7 @@ void ScaleSearch::update(const KeptMaps& maps, GroundModel& ground, const Prior&
 }
 
 /// The whole grid, less and less often, or what is around the last grid's best ones. Scales at which the aerial map
-/// would dwarf the ground map are left out: nothing could prove them right.
+/// would dwarf the ground map, or be a spot of it, are left out: nothing could prove them right.
 std::vector<double> ScaleSearch::scalesToTry(double extent, const GroundModel& ground) {
   const double largest = kLargest * ground.edge() * ground.map().resolution / std::max(extent, 1e-9);
   std::vector<double> scales;
@@ -71,7 +72,7 @@ std::vector<double> ScaleSearch::scalesToTry(double extent, const GroundModel& g
   }
   ++grids_;
   clouds_since_grid_ = 0;
-  const double least = settings_.own_unit.scale_min;
+  const double least = std::max(settings_.own_unit.scale_min, kSmallest / std::max(extent, 1e-9));
   const double to = std::min(settings_.own_unit.scale_max, std::max(least, largest));
   for (double scale = least; scale < to * std::exp(0.5 * kStep); scale *= std::exp(kStep)) scales.push_back(scale);
   return scales;

@@ -71,9 +71,9 @@ bool speaksForGuess(const PlaceMeasures& place, const VerdictSettings& settings)
          toldApart(place, settings, settings.guess_agreement, settings.guess_ratio);
 }
 
-Verdict judge(const PlaceMeasures& place, const VerdictSettings& settings, bool may_guess) {
+Verdict judge(const PlaceMeasures& place, const VerdictSettings& settings) {
   Verdict verdict = statusOf(place, settings);
-  verdict.guess = may_guess && verdict.status != Status::kConverged && place.maps >= settings.min_maps &&
+  verdict.guess = verdict.status != Status::kConverged && place.maps >= settings.min_maps &&
                   speaksForGuess(place, settings) && place.guess_evidence >= settings.min_evidence;
   if (verdict.guess) verdict.reason += "; a guess for the refinement: no other place has as much evidence";
   return verdict;

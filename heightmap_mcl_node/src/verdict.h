@@ -14,8 +14,8 @@ struct Verdict {
   bool guess = false;  ///< see VerdictSettings::guess_ratio
 };
 
-/// The first thing that speaks against the place decides. `may_guess`: what is not CONVERGED may be a guess.
-Verdict judge(const PlaceMeasures& place, const VerdictSettings& settings, bool may_guess);
+/// The first thing that speaks against the place decides.
+Verdict judge(const PlaceMeasures& place, const VerdictSettings& settings);
 
 /// Whether a map that says so may count in favour of CONVERGED: there is relief, it fixes all directions, what stands
 /// on the floor agrees, and nowhere else as well.

@@ -32,7 +32,7 @@ PlaceMeasures justEnough() {
 using Change = std::function<void(PlaceMeasures*)>;
 
 TEST(Verdict, JustEnoughIsBelieved) {
-  const Verdict verdict = judge(justEnough(), kSettings, true);
+  const Verdict verdict = judge(justEnough(), kSettings);
   EXPECT_EQ(verdict.status, Status::kConverged) << verdict.reason;
   EXPECT_FALSE(verdict.guess) << "a guess is what is not believed";
 }
@@ -68,7 +68,7 @@ TEST(Verdict, EachLackIsRefusedAndNamed) {
   for (const Case& c : cases) {
     PlaceMeasures place = justEnough();
     c.lack(&place);
-    const Verdict verdict = judge(place, kSettings, false);
+    const Verdict verdict = judge(place, kSettings);
     EXPECT_EQ(verdict.status, c.status) << c.reason;
     EXPECT_NE(verdict.reason.find(c.reason), std::string::npos) << verdict.reason;
   }
@@ -77,12 +77,12 @@ TEST(Verdict, EachLackIsRefusedAndNamed) {
 // Where nothing is fixed nobody asks for rivals, and where there are some not for particles.
 TEST(Verdict, TheWorstLackIsNamed) {
   PlaceMeasures place;
-  EXPECT_EQ(judge(place, kSettings, true).status, Status::kDegenerate);
+  EXPECT_EQ(judge(place, kSettings).status, Status::kDegenerate);
   place = justEnough();
   place.rival_ratio = 1;
   place.particles_agree = false;
   place.maps = 0;
-  EXPECT_EQ(judge(place, kSettings, true).status, Status::kAmbiguous);
+  EXPECT_EQ(judge(place, kSettings).status, Status::kAmbiguous);
 }
 
 TEST(Verdict, ParticlesAreNotAskedWhereTwiceTheEvidenceSpeaks) {
@@ -91,9 +91,9 @@ TEST(Verdict, ParticlesAreNotAskedWhereTwiceTheEvidenceSpeaks) {
   place.mode_weight = 0;
   place.mode_spread = place.mode_spread_yaw = 10;
   place.evidence = 1.99 * kSettings.min_evidence;
-  EXPECT_EQ(judge(place, kSettings, true).status, Status::kSearching);
+  EXPECT_EQ(judge(place, kSettings).status, Status::kSearching);
   place.evidence = 2 * kSettings.min_evidence;
-  EXPECT_EQ(judge(place, kSettings, true).status, Status::kConverged);
+  EXPECT_EQ(judge(place, kSettings).status, Status::kConverged);
 }
 
 /// Not to be believed, but just enough for a guess.
@@ -106,11 +106,10 @@ PlaceMeasures justEnoughForAGuess() {
 }
 
 TEST(Verdict, AGuessNeedsLessButNotNothing) {
-  const Verdict guess = judge(justEnoughForAGuess(), kSettings, true);
+  const Verdict guess = judge(justEnoughForAGuess(), kSettings);
   EXPECT_TRUE(guess.guess);
   EXPECT_NE(guess.status, Status::kConverged);
   EXPECT_NE(guess.reason.find("a guess"), std::string::npos);
-  EXPECT_FALSE(judge(justEnoughForAGuess(), kSettings, false).guess);
   const std::vector<Change> lacks{
       [](PlaceMeasures* p) { p->relief *= 0.99; },        [](PlaceMeasures* p) { p->raised *= 0.99; },
       [](PlaceMeasures* p) { p->probe_ratio *= 0.99; },   [](PlaceMeasures* p) { p->rival_ratio *= 0.99; },
@@ -119,7 +118,7 @@ TEST(Verdict, AGuessNeedsLessButNotNothing) {
   for (std::size_t i = 0; i < lacks.size(); ++i) {
     PlaceMeasures place = justEnoughForAGuess();
     lacks[i](&place);
-    EXPECT_FALSE(judge(place, kSettings, true).guess) << i;
+    EXPECT_FALSE(judge(place, kSettings).guess) << i;
   }
 }
 

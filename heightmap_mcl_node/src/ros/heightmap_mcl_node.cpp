@@ -239,8 +239,11 @@ class HeightmapMclNode {
     std::size_t cropped = 0;
     const std::size_t far = localizer_.farMapsDropped();
     const bool added = localizer_.addAerial(cloud, &cropped);
+    // At a scale that is not known yet the size says nothing.
+    const CoarseEstimate& e = localizer_.estimate();
+    if (own_unit && e.status != Status::kConverged) cropped = 0;
     health_.value("aerial points beyond air/max_extent", static_cast<double>(cropped));
-    const std::string said = cropping("aerial", cloud.points, cropped, own_unit ? localizer_.estimate().scale : 1,
+    const std::string said = cropping("aerial", cloud.points, cropped, own_unit ? e.scale : 1,
                                       settings_.localizer.air_map.max_extent, "its densest part of that edge");
     if (!said.empty()) ROS_WARN_STREAM_THROTTLE(60, said);
     health_.count("aerial maps dropped: farther than air/max_extent from the newest",

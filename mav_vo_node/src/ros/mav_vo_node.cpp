@@ -120,7 +120,7 @@ class MavVoNode : private ros_utils::Estimator {
     const bool usable = r.pose_valid && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     ros_utils::EstimatorResult result;
     result.status = statusMessage(r);
-    if (!r.imu_at_fault) result.advice = adviceFor(r.state);
+    if (!r.imu_at_fault) result.advice = adviceFor(r.state, !visual_);
     result.pose_published = usable && r.metric;
     result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
     return result;

@@ -29,12 +29,13 @@ std::uint8_t stateOf(OdometryState state) {
 
 }  // namespace
 
-std::string adviceFor(OdometryState state) {
+std::string adviceFor(OdometryState state, bool use_imu) {
   switch (state) {
     case OdometryState::kInitializing:
       return "move the camera sideways over a scene with texture, sharp and well lit";
     case OdometryState::kScaling:
-      return "accelerate the vehicle for some seconds; without IMU fly over what the ground robot has seen";
+      return use_imu ? "accelerate the vehicle for some seconds"
+                     : "fly over what the ground robot has seen, and turn, which tells what is level";
     case OdometryState::kLost:
       return "bring the camera back to where it has been, or to another one: a new map begins there after lost_timeout";
     default:

@@ -13,7 +13,7 @@
 namespace mav_vo {
 
 /// What a user can do about an odometry that is in this state.
-std::string adviceFor(OdometryState state);
+std::string adviceFor(OdometryState state, bool use_imu);
 
 air_ground::VoStatus statusMessage(const VoResult& r);
 
