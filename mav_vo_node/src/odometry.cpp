@@ -273,13 +273,17 @@ double Odometry::Impl::mapTilt() const {
 }
 
 air_ground_common::Vertical Odometry::Impl::flownVertical() const {
-  std::vector<FlownAttitude> attitudes;
-  for (const auto& [id, keyframe] : map.keyframes()) {
-    const Eigen::Matrix3d& R_map_camera = keyframe.T_map_camera.linear();
-    attitudes.push_back({keyframe.stamp, R_map_camera * T_base_camera.linear().transpose() * Eigen::Vector3d::UnitY(),
-                         R_map_camera * Eigen::Vector3d(0, 1, 1)});
-  }
-  return verticalOfFlight(attitudes);
+  const auto across = [this](const Eigen::Vector3d& lateral_in_camera) {
+    std::vector<FlownAttitude> attitudes;
+    for (const auto& [id, keyframe] : map.keyframes()) {
+      const Eigen::Matrix3d& R_map_camera = keyframe.T_map_camera.linear();
+      attitudes.push_back({keyframe.stamp, R_map_camera * lateral_in_camera, R_map_camera * Eigen::Vector3d(0, 1, 1)});
+    }
+    return verticalOfFlight(attitudes);
+  };
+  const air_ground_common::Vertical vertical = across(T_base_camera.linear().transpose() * Eigen::Vector3d::UnitY());
+  // A mounting that nobody gave, or one whose axes are those of the images.
+  return vertical.stddev > 0 ? vertical : across(Eigen::Vector3d::UnitX());
 }
 
 // Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map

@@ -108,4 +108,28 @@ TEST(Odometry, KeepsItsMapWhenTheReadoutTimeTurnsOut) {
   EXPECT_LT(error, 0.01 * air_ground_common::pathLength(o.truth));
 }
 
+// A drone's video: no IMU, and nothing that says how the camera is mounted.
+TEST(Odometry, TheFlightTellsWhatIsUpWhereNothingElseDoes) {
+  Options options;
+  options.imu = false;
+  OdometrySettings settings;
+  settings.use_imu = false;
+  Pose ahead = Pose::Identity();
+  ahead.linear() << 0, 0, 1, -1, 0, 0, 0, -1, 0;  // the camera of synthetic_flight.h looks down
+  for (const Pose& T_base_camera : {synthetic::T_imu_camera(), ahead, Pose(Pose::Identity())}) {
+    Odometry odometry(synthetic::camera(), T_base_camera, Pose::Identity(), settings);
+    const Outcome o = fly(options, settings, &odometry);
+    int told = 0;
+    for (const VoResult& r : o.frames) {
+      if (!r.pose_valid || !(r.vertical.stddev > 0)) continue;
+      const Pose T = options.flight.T_world_imu(r.stamp) * synthetic::T_imu_camera();
+      const Eigen::Vector3d up = r.T_map_camera.linear() * T.linear().transpose() * Eigen::Vector3d::UnitZ();
+      EXPECT_LT(std::acos(std::min(1.0, up.dot(r.vertical.up))), 3 * r.vertical.stddev) << "at " << r.stamp << " s";
+      ++told;
+    }
+    EXPECT_GT(told, 50);
+    std::printf("level to %.2f deg\n", o.frames.back().vertical.stddev * 180 / M_PI);
+  }
+}
+
 }  // namespace
