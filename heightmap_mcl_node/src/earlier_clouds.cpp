@@ -66,7 +66,7 @@ void EarlierClouds::setPrior(const Prior& prior) {
 void EarlierClouds::setOwnUnit(bool own_unit) {
   if (own_unit == own_unit_) return;
   own_unit_ = own_unit;
-  in_group_ = static_cast<std::size_t>(own_unit ? settings_.own_unit.verify : settings_.verify);
+  in_group_ = static_cast<std::size_t>(settings_.verifyFor(own_unit));
   forgetAerial();
 }
 

@@ -52,18 +52,14 @@ bool KeptMaps::add(const std::vector<Eigen::Vector3f>& points, const Eigen::Vect
   if (map.empty()) return false;
   clouds_.push_back({std::move(map), reference, {}});
   if (own_unit_) clouds_.back().points = thinnedPoints(points);
-  while (clouds_.size() > most()) clouds_.pop_front();
+  while (count() > settings_.verifyFor(own_unit_)) clouds_.pop_front();
   return true;
-}
-
-std::size_t KeptMaps::most() const {
-  return static_cast<std::size_t>(own_unit_ ? settings_.own_unit.verify : settings_.verify);
 }
 
 void KeptMaps::dropFar() {
   // A single map has a border of a cell.
   const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
-  while (clouds_.size() > 1 && unionExtent(newest(static_cast<int>(clouds_.size()))) > bound) {
+  while (clouds_.size() > 1 && unionExtent(newest(count())) > bound) {
     clouds_.pop_front();
     ++far_dropped_;
   }
@@ -98,9 +94,7 @@ HeightMap KeptMaps::merged(int count) const {
   return std::isnan(floor_) ? map : withFloor(std::move(map), floor_);
 }
 
-HeightMap KeptMaps::mergedOnOwnFloor() const {
-  return merge(newest(static_cast<int>(clouds_.size())), settings_.merge);
-}
+HeightMap KeptMaps::mergedOnOwnFloor() const { return merge(newest(count()), settings_.merge); }
 
 HeightMap KeptMaps::mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
                           std::size_t* cropped) const {

@@ -59,7 +59,7 @@ class KeptMaps {
   /// Of the newest `count` ones, on the floor that was set.
   HeightMap merged(int count) const;
   /// Of all.
-  HeightMap merged() const { return merged(static_cast<int>(clouds_.size())); }
+  HeightMap merged() const { return merged(count()); }
   /// Of all, on the floor that they show themselves.
   HeightMap mergedOnOwnFloor() const;
   /// z of the floor of merged maps [m]; NaN: their own.
@@ -78,7 +78,7 @@ class KeptMaps {
   LevelCloud levelCloud(std::size_t most) const;
 
  private:
-  std::size_t most() const;  ///< clouds that are kept
+  int count() const { return static_cast<int>(clouds_.size()); }
   HeightMap mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
                   std::size_t* cropped = nullptr) const;
   std::vector<const HeightMap*> newest(int count) const;

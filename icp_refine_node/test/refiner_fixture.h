@@ -28,6 +28,15 @@ class Refiner : public testing::Test {
     return D * scene.T_ground_map_mav_map;
   }
 
+  /// What images tell that are 2 cm and 0.02 rad sure, about the middle of what the MAV saw.
+  KnownAlignment viewsAt(const Pose& T) const {
+    KnownAlignment views;
+    views.T_ground_map_mav_map = similarity(T);
+    views.covariance = 4e-4 * Matrix6d::Identity();
+    views.centre = scene.T_ground_map_mav_map * centre;
+    return views;
+  }
+
   double error(const Similarity& T) const { return (T * centre - scene.T_ground_map_mav_map * centre).norm(); }
 
   synthetic::Scene scene;

@@ -175,11 +175,7 @@ TEST_F(Refiner, AWrongCoarsePoseIsRejectedAndNotTracked) {
 }
 
 TEST_F(Refiner, ViewsThatTheCloudsContradictAreNotTaken) {
-  KnownAlignment views;
-  views.T_ground_map_mav_map = similarity(moved(0.3, 0, 0, 0));
-  views.covariance = 4e-4 * Matrix6d::Identity();
-  views.centre = scene.T_ground_map_mav_map * centre;
-  refiner.setViews(views);
+  refiner.setViews(viewsAt(moved(0.3, 0, 0, 0)));
   const RefineOutcome out = refiner.refine();
   EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
   EXPECT_FALSE(refiner.tracking());
@@ -251,10 +247,7 @@ TEST_F(Refiner, WhatHasMovedDoesNotEndAPoseThatImagesHold) {
     EXPECT_EQ(made, count);
     return out;
   };
-  KnownAlignment views;
-  views.T_ground_map_mav_map = similarity(scene.T_ground_map_mav_map);
-  views.covariance = 4e-4 * Matrix6d::Identity();
-  views.centre = scene.T_ground_map_mav_map * centre;
+  const KnownAlignment views = viewsAt(scene.T_ground_map_mav_map);
   const auto tracksOn = [&](std::size_t things, bool with_views) {
     refiner.startMap();
     refiner.addAerial(1, scene.aerial);
@@ -277,10 +270,7 @@ TEST_F(Refiner, WhatHasMovedDoesNotEndAPoseThatImagesHold) {
 }
 
 TEST_F(Refiner, ViewsThatAreWithdrawnStartNothing) {
-  KnownAlignment views;
-  views.T_ground_map_mav_map = similarity(scene.T_ground_map_mav_map);
-  views.covariance = 4e-4 * Matrix6d::Identity();
-  views.centre = scene.T_ground_map_mav_map * centre;
+  const KnownAlignment views = viewsAt(scene.T_ground_map_mav_map);
   const auto ended_by = [&](const std::function<void()>& event) {
     refiner.setViews(views);
     event();

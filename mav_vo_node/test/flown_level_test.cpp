@@ -6,13 +6,14 @@
 #include <random>
 
 #include "air_ground_common/geometry.h"
+#include "air_ground_common/units.h"
 
 namespace mav_vo {
 namespace {
 
 using air_ground_common::expSO3;
+using air_ground_common::kDegree;
 using air_ground_common::Vertical;
-constexpr double kDegree = M_PI / 180;
 
 struct Flight {
   double turn = 2 * M_PI;            // of the heading, over all [rad]

@@ -128,7 +128,7 @@ TEST(Odometry, TheFlightTellsWhatIsUpWhereNothingElseDoes) {
       ++told;
     }
     EXPECT_GT(told, 50);
-    std::printf("level to %.2f deg\n", o.frames.back().vertical.stddev * 180 / M_PI);
+    std::printf("level to %.2f deg\n", o.frames.back().vertical.stddev / kDegree);
   }
 }
 

@@ -90,6 +90,9 @@ struct HeightMapLocalizerSettings {
   double probe_distance = 0.25;    ///< along the flattest direction of the cost, see VerdictSettings::probe_ratio [m]
   VerdictSettings verdict;
   CovarianceSettings covariance;
+
+  /// Aerial clouds that are merged, with or without a scale.
+  int verifyFor(bool own_unit_clouds) const { return own_unit_clouds ? own_unit.verify : verify; }
 };
 
 /// The filter of the paper: kPaper with single clouds, highest points, sigma 0.08 and an overlap of the aerial map's
