@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/ros/pixel_range.h"
+#include "air_ground_common/ros/vertical_message.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -331,6 +332,24 @@ TEST(Conversions, CloudRoundTripKeepsColourAndDropsWhatIsNowhere) {
   EXPECT_EQ(cloudFromMsg(broken).size(), 1u) << "a colour outside is left out";
   broken.is_bigendian = true;
   EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
+}
+
+TEST(Conversions, AVerticalIsKnownOnlyWhereItIsStatedAndADirection) {
+  air_ground::VoStatus status;
+  EXPECT_EQ(verticalFromMsg(status).stddev, 0) << "not stated";
+  const Eigen::Vector3d up = Eigen::Vector3d(0.2, -0.9, 0.3).normalized();
+  setVertical({up, 0.03}, &status);
+  EXPECT_EQ(verticalFromMsg(status).stddev, 0.03);
+  EXPECT_TRUE(verticalFromMsg(status).up.isApprox(up));
+  status.up = {};
+  EXPECT_EQ(verticalFromMsg(status).up, Eigen::Vector3d::UnitZ()) << "as far as the map is level";
+  EXPECT_EQ(verticalFromMsg(status).stddev, 0.03);
+  status.up.x = 1e-3;
+  EXPECT_EQ(verticalFromMsg(status).stddev, 0) << "no direction";
+  status.up.x = std::nan("");
+  EXPECT_EQ(verticalFromMsg(status).stddev, 0);
+  setVertical({up, std::numeric_limits<double>::infinity()}, &status);
+  EXPECT_EQ(verticalFromMsg(status).stddev, 0);
 }
 
 }  // namespace

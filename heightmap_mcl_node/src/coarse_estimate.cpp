@@ -17,8 +17,9 @@ const char* toString(Status status) {
 }
 
 air_ground_common::Pose CoarseEstimate::similarityPose() const {
-  air_ground_common::Pose T = T_ground_mav;
-  T.linear() = T_ground_mav.linear() * R_level;
+  air_ground_common::Pose T = air_ground_common::Pose::Identity();
+  T.linear() = R_ground_level.transpose() * T_ground_mav.linear() * R_level;
+  T.translation() = R_ground_level.transpose() * T_ground_mav.translation();
   return T;
 }
 

@@ -36,8 +36,10 @@ double spacingOf(const pcl::PointCloud<pcl::PointXYZ>& cloud) {
 
 }  // namespace
 
+FloorRule flatFloorRule(double max_slope) { return {max_slope, 0.2, 0.03, 0.7}; }
+
 std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& up,
-                                               double max_tilt, double min_share) {
+                                               const FloorRule& rule) {
   auto cloud = pcl::make_shared<pcl::PointCloud<pcl::PointXYZ>>();
   const double step = std::max(1.0, static_cast<double>(points.size()) / kMost);
   for (double i = 0; i < static_cast<double>(points.size()); i += step) {
@@ -45,14 +47,14 @@ std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f
     if (p.allFinite()) cloud->emplace_back(p.x(), p.y(), p.z());
   }
   if (cloud->size() < 100) return std::nullopt;
-  const double spacing = spacingOf(*cloud);
-  if (!(spacing > 0)) return std::nullopt;
+  const double tolerance = rule.tolerance > 0 ? rule.tolerance : kSpacings * spacingOf(*cloud);
+  if (!(tolerance > 0)) return std::nullopt;
 
   using Model = pcl::SampleConsensusModelPerpendicularPlane<pcl::PointXYZ>;
   auto model = pcl::make_shared<Model>(cloud);
   model->setAxis(up.cast<float>());
-  model->setEpsAngle(max_tilt);
-  pcl::RandomSampleConsensus<pcl::PointXYZ> ransac(model, kSpacings * spacing);
+  model->setEpsAngle(rule.max_tilt);
+  pcl::RandomSampleConsensus<pcl::PointXYZ> ransac(model, tolerance);
   ransac.setProbability(kProbability);
   ransac.setMaxIterations(1000);
   if (!ransac.computeModel()) return std::nullopt;
@@ -61,13 +63,16 @@ std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f
   Eigen::VectorXf plane, refined;
   ransac.getModelCoefficients(plane);
   model->optimizeModelCoefficients(inliers, plane, refined);
-  model->selectWithinDistance(refined, kSpacings * spacing, inliers);
+  model->selectWithinDistance(refined, tolerance, inliers);
   DominantFloor floor;
   floor.share = static_cast<double>(inliers.size()) / static_cast<double>(cloud->size());
-  if (floor.share < min_share || refined.size() != 4) return std::nullopt;
+  if (floor.share < rule.min_share || refined.size() != 4) return std::nullopt;
+  pcl::Indices near;
+  model->selectWithinDistance(refined, 4 * tolerance, near);
+  if (static_cast<double>(inliers.size()) < rule.min_flatness * static_cast<double>(near.size())) return std::nullopt;
   floor.up = refined.head<3>().cast<double>().normalized();
   if (floor.up.dot(up) < 0) floor.up = -floor.up;
-  if (std::acos(std::min(1.0, floor.up.dot(up))) > max_tilt) return std::nullopt;
+  if (std::acos(std::min(1.0, floor.up.dot(up))) > rule.max_tilt) return std::nullopt;
   return floor;
 }
 

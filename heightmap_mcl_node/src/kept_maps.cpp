@@ -50,8 +50,7 @@ bool KeptMaps::add(const std::vector<Eigen::Vector3f>& points, const Eigen::Vect
   for (const Cloud& kept : clouds_) levels.add(kept.map.levels);
   HeightMap map = mapOf(points, levels, cropped);
   if (map.empty()) return false;
-  clouds_.push_back({std::move(map), reference, {}});
-  if (own_unit_) clouds_.back().points = thinnedPoints(points);
+  clouds_.push_back({std::move(map), reference, thinnedPoints(points)});
   while (count() > settings_.verifyFor(own_unit_)) clouds_.pop_front();
   return true;
 }
@@ -98,7 +97,7 @@ HeightMap KeptMaps::mergedOnOwnFloor() const { return merge(newest(count()), set
 
 HeightMap KeptMaps::mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
                           std::size_t* cropped) const {
-  if (!own_unit_) return buildHeightMap(points, settings_.air_map, cropped, &earlier);
+  if (!own_unit_ && R_level_.isIdentity()) return buildHeightMap(points, settings_.air_map, cropped, &earlier);
   const Eigen::Matrix3f S = (scale_ * R_level_).cast<float>();
   std::vector<Eigen::Vector3f> metric;
   metric.reserve(points.size());
@@ -106,17 +105,25 @@ HeightMap KeptMaps::mapOf(const std::vector<Eigen::Vector3f>& points, const Leve
   return buildHeightMap(metric, settings_.air_map, cropped, &earlier);
 }
 
-bool KeptMaps::updateLevel() {
-  if (settings_.own_unit.max_tilt <= 0) return false;
+bool KeptMaps::updateLevel(bool ground_is_flat) {
+  if (!own_unit_ && !ground_is_flat) return turnTo(Eigen::Matrix3d::Identity());
+  if (own_unit_ && settings_.own_unit.max_tilt <= 0) return false;
   std::vector<Eigen::Vector3f> all;
   for (const Cloud& kept : clouds_) all.insert(all.end(), kept.points.begin(), kept.points.end());
-  double max_tilt = settings_.own_unit.max_tilt;
-  if (vertical_.stddev > 0) max_tilt = std::min(max_tilt, kFloorSigmas * vertical_.stddev);
-  const auto floor = findDominantFloor(all, vertical_.up, max_tilt, kFloorShare);
+  if (!own_unit_) {
+    const auto floor = findDominantFloor(all, Eigen::Vector3d::UnitZ(), flatFloorRule(settings_.max_slope));
+    return turnTo(floor ? air_ground_common::levelingRotation(floor->up) : Eigen::Matrix3d::Identity());
+  }
+  FloorRule rule{settings_.own_unit.max_tilt, kFloorShare, 0, 0};
+  if (vertical_.stddev > 0) rule.max_tilt = std::min(rule.max_tilt, kFloorSigmas * vertical_.stddev);
+  const auto floor = findDominantFloor(all, vertical_.up, rule);
   if (!floor && !(vertical_.stddev > 0)) return false;
-  const Eigen::Matrix3d R = air_ground_common::levelingRotation(floor ? floor->up : vertical_.up);
-  if (air_ground_common::rotationAngle(R, R_level_) < kLevelStep) return false;
-  R_level_ = R;
+  return turnTo(air_ground_common::levelingRotation(floor ? floor->up : vertical_.up));
+}
+
+bool KeptMaps::turnTo(const Eigen::Matrix3d& R_level) {
+  if (air_ground_common::rotationAngle(R_level, R_level_) < kLevelStep) return false;
+  R_level_ = R_level;
   return true;
 }
 

@@ -20,15 +20,15 @@ struct LevelCloud {
   double extent = 0;  ///< longer edge in plan
 };
 
-/// Keeps the last `verify` clouds as height maps (of clouds in a unit of their own `own_unit.verify`). Clouds in a unit
-/// of their own keep their points besides, and are made anew where level or scale change; a point p of theirs lies at
-/// scale() * level() * p.
+/// Keeps the last `verify` clouds as height maps (of clouds in a unit of their own `own_unit.verify`), and their
+/// points, of which the maps are made anew where level or scale change; a point p of theirs lies at scale() * level() *
+/// p.
 class KeptMaps {
  public:
   struct Cloud {
     HeightMap map;                        ///< level [m]
     Eigen::Vector3d reference;            ///< position of the MAV, as given
-    std::vector<Eigen::Vector3f> points;  ///< as given; of clouds in a unit of their own
+    std::vector<Eigen::Vector3f> points;  ///< as given, or fewer
   };
 
   explicit KeptMaps(const HeightMapLocalizerSettings& settings) : settings_(settings) {}
@@ -69,16 +69,19 @@ class KeptMaps {
   const Eigen::Matrix3d& level() const { return R_level_; }
   /// What the MAV knows of up in its map, of clouds in a unit of their own; its z axis until then.
   void setVertical(const air_ground_common::Vertical& vertical) { vertical_ = vertical; }
-  /// Turns the clouds' dominant floor level; where there is none, what the MAV takes for level. Returns false where
-  /// that is level already: remake() else.
-  bool updateLevel();
+  /// Turns the clouds' dominant floor level; where there is none, what the MAV takes for level. Clouds in metres: only
+  /// where the ground map's floor is flat, too. Returns false where that is level already: remake() else.
+  bool updateLevel(bool ground_is_flat);
   /// All height maps anew, at that scale and the present level.
   void remake(double scale);
+  void remake() { remake(scale_); }
   /// Thinned evenly to `most` points or fewer. Empty where no cloud has kept points.
   LevelCloud levelCloud(std::size_t most) const;
 
  private:
   int count() const { return static_cast<int>(clouds_.size()); }
+  /// False where the present level is about that one.
+  bool turnTo(const Eigen::Matrix3d& R_level);
   HeightMap mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
                   std::size_t* cropped = nullptr) const;
   std::vector<const HeightMap*> newest(int count) const;

@@ -7,6 +7,7 @@
 #include "air_ground_common/text.h"
 #include "covariance.h"
 #include "evidence_sum.h"
+#include "heightmap_mcl/dominant_floor.h"
 #include "kept_maps.h"
 #include "paper_estimate.h"
 #include "place_measures.h"
@@ -79,7 +80,8 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
 }
 
 bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped, bool corrected) {
-  HeightMap map = buildHeightMap(points, settings_.ground_map, cropped);
+  std::vector<Eigen::Vector3f> turned;
+  HeightMap map = buildHeightMap(levelGround(points, &turned), settings_.ground_map, cropped);
   if (map.empty()) {
     forgetGround();
     return false;
@@ -88,6 +90,7 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   filter_.setSigmaShare(settings_.mode == Mode::kPaper ? 1
                                                        : std::clamp(ground_->variance() / kUsualVariance, 0.02, 1.0));
   verify_volume_.reset();
+  if (hasAerial()) updateLevel();
   if (!corrected && stillStands()) return true;
   if (estimate_.status != Status::kConverged) {
     if (corrected) evidence_->clear();
@@ -104,11 +107,30 @@ bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* croppe
   if (!cloud.reference.allFinite() || !kept_->add(cloud.points, cloud.reference, cropped)) return false;
   dropFarMaps();
   if (hasGround()) {
+    updateLevel();
     updateScale();
     updateFloor();
   }
   useNewestMap();
   return true;
+}
+
+const std::vector<Eigen::Vector3f>& HeightMapLocalizer::levelGround(const std::vector<Eigen::Vector3f>& points,
+                                                                    std::vector<Eigen::Vector3f>* turned) {
+  constexpr double kLevel = 0.002;  // [rad]
+  ground_is_flat_ = false;
+  R_ground_level_.setIdentity();
+  if (settings_.max_slope <= 0 || settings_.mode == Mode::kPaper) return points;
+  const auto floor = findDominantFloor(points, Eigen::Vector3d::UnitZ(), flatFloorRule(settings_.max_slope));
+  if (!floor) return points;
+  ground_is_flat_ = true;
+  const Eigen::Matrix3d R = air_ground_common::levelingRotation(floor->up);
+  if (air_ground_common::rotationAngle(R, Eigen::Matrix3d::Identity()) < kLevel) return points;
+  R_ground_level_ = R;
+  const Eigen::Matrix3f R_float = R.cast<float>();
+  turned->reserve(points.size());
+  for (const Eigen::Vector3f& p : points) turned->push_back(R_float * p);
+  return *turned;
 }
 
 Comparison HeightMapLocalizer::comparison() const { return {settings_, *ground_, kept_->largest(), kept_->ownUnit()}; }
@@ -144,6 +166,7 @@ bool HeightMapLocalizer::stillStands() const {
 void HeightMapLocalizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(kept_->size());
+  updateLevel();
   updateScale();
   updateFloor();
   filter_map_ = kept_->merged(settings_.accumulate);
@@ -181,11 +204,16 @@ void HeightMapLocalizer::dropFarMaps() {
   if (!kept_->ownUnit() || estimate_.status == Status::kConverged) kept_->dropFar();
 }
 
+/// Of clouds in metres; the kept maps are made anew where it has changed.
+void HeightMapLocalizer::updateLevel() {
+  if (!kept_->ownUnit() && kept_->updateLevel(ground_is_flat_)) kept_->remake();
+}
+
 /// Level and scale at which the kept clouds fit best; the kept maps are made anew where these have changed.
 void HeightMapLocalizer::updateScale() {
   if (!kept_->ownUnit() || !hasGround() || !hasAerial()) return;
   const double before = kept_->scale();
-  const bool levelled = kept_->updateLevel();
+  const bool levelled = kept_->updateLevel(ground_is_flat_);
   std::optional<air_ground_common::Pose> converged;
   if (estimate_.status == Status::kConverged) converged = estimate_.T_ground_mav;
   scale_->update(*kept_, *ground_, prior_, comparison(), converged);
@@ -229,6 +257,7 @@ void HeightMapLocalizer::updateEstimate(bool new_map) {
   e.scale = scale_->estimate().value;
   e.scale_stddev = scale_->estimate().stddev;
   e.R_level = kept_->level();
+  e.R_ground_level = R_ground_level_;
   if (kept_->ownUnit()) e.scale_evidence = scale_->estimate().evidence;
   e.maps = maps_;
   e.restarts = restarts_;

@@ -79,8 +79,8 @@ TEST(KeptMaps, CloudsOfAnotherUnitAreMadeLevelAndMetric) {
   std::vector<Eigen::Vector3f> raw;
   for (const auto& p : block()) raw.push_back((R_raw_level * p.cast<double>() / kUnit).cast<float>());
   ASSERT_TRUE(kept.add(raw, R_raw_level * Eigen::Vector3d(1, 2, 3) / kUnit, nullptr));
-  EXPECT_TRUE(kept.updateLevel());
-  EXPECT_FALSE(kept.updateLevel()) << "level already";
+  EXPECT_TRUE(kept.updateLevel(false));
+  EXPECT_FALSE(kept.updateLevel(false)) << "level already";
   kept.remake(kUnit);
   EXPECT_DOUBLE_EQ(kept.scale(), kUnit);
   const Eigen::Vector3d up = kept.level() * R_raw_level * Eigen::Vector3d::UnitZ();
@@ -106,7 +106,7 @@ TEST(KeptMaps, CloudsAreLevelWhereTheMavSaysThatUpIs) {
     kept.setOwnUnit(true);
     kept.setVertical(vertical);
     EXPECT_TRUE(kept.add(raw, Eigen::Vector3d::Zero(), nullptr));
-    kept.updateLevel();
+    kept.updateLevel(false);
     return std::acos(std::min(1.0, (kept.level() * R_raw_level * Eigen::Vector3d::UnitZ()).z()));
   };
   EXPECT_GT(leanWith({}), 0.3) << "beyond max_tilt of the map's z axis";

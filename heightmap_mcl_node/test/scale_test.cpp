@@ -57,6 +57,7 @@ TEST(DominantFloor, IsFoundAmongWallsInAnyUnit) {
   std::uniform_real_distribution<float> u(-1, 1);
   std::normal_distribution<float> noise(0, 0.004f);
   const Eigen::Matrix3f R = expSO3({0.3, -0.2, 0.1}).cast<float>();
+  const FloorRule rule{0.6, 0.1, 0, 0};
   for (const float unit : {0.01f, 1.f, 40.f}) {
     std::vector<Eigen::Vector3f> points;
     for (int i = 0; i < 6000; ++i) points.push_back(unit * (R * Eigen::Vector3f(u(random), u(random), noise(random))));
@@ -64,15 +65,15 @@ TEST(DominantFloor, IsFoundAmongWallsInAnyUnit) {
     for (int i = 0; i < 9000; ++i)
       points.push_back(unit * (R * Eigen::Vector3f(u(random), 1 + noise(random), 1 + u(random))));
     for (int i = 0; i < 2000; ++i) points.push_back(unit * (R * Eigen::Vector3f(u(random), u(random), u(random))));
-    const auto floor = findDominantFloor(points, Eigen::Vector3d::UnitZ(), 0.6, 0.1);
+    const auto floor = findDominantFloor(points, Eigen::Vector3d::UnitZ(), rule);
     ASSERT_TRUE(floor);
     EXPECT_LT(std::acos(std::min(1.0, floor->up.dot(R.cast<double>().col(2)))), 0.5 * M_PI / 180) << unit;
     EXPECT_NEAR(floor->share, 6.0 / 17, 0.05);
   }
   std::vector<Eigen::Vector3f> wall;
   for (int i = 0; i < 3000; ++i) wall.push_back({u(random), noise(random), u(random)});
-  EXPECT_FALSE(findDominantFloor(wall, Eigen::Vector3d::UnitZ(), 0.6, 0.1)) << "a wall is no floor";
-  EXPECT_FALSE(findDominantFloor({}, Eigen::Vector3d::UnitZ(), 0.6, 0.1));
+  EXPECT_FALSE(findDominantFloor(wall, Eigen::Vector3d::UnitZ(), rule)) << "a wall is no floor";
+  EXPECT_FALSE(findDominantFloor({}, Eigen::Vector3d::UnitZ(), rule));
 }
 
 TEST(OwnUnit, ScaledAndTiltedCloudsAreFound) {

@@ -26,11 +26,12 @@ constexpr double kReadoutStep = 4e-3;         // least change of it [s]
 constexpr double kReadoutRefinement = 1e-3;   // least change of one that was estimated [s]
 constexpr double kShutterMisfit = 2;          // of noise; above, the tracks are not explained by a readout time
 constexpr double kChi2Of3 = 16.27;            // 3 degrees of freedom, 99.9 %
-constexpr double kSureChi2Of3 = 30.7;         // likewise, all but one in a million: asked ten times a second
 constexpr double kMeanChi2Of3 = 3;            // likewise, the mean: an estimate that has become better by as much
 constexpr double kMountingStep = 0.0175;      // least turn of an IMU against its mounting as told [rad]
 constexpr double kMountingRefinement = 4e-3;  // ... and of one that was estimated [rad]
 constexpr double kGyroMisfit = 4;             // of noise; above, gyro and images contradict each other
+constexpr double kMountingSteady = 2;         // for which a first one has been about the same [s]
+constexpr double kMountingWander = 1.0 / 3;   // of itself, that it may change meanwhile
 constexpr double kMountingGain = 0.8;         // a first turn must cut the misfit to this share of the best without it
 constexpr int kMountingTracks = 50;           // of a pair; there is time to find it
 constexpr double kGuessInterval = 3;          // between guesses of axes that were taken for each other [s]
@@ -117,6 +118,7 @@ void ImuAlignment::restartAt(double time_offset) {
   if (mounting_alignment_) mounting_alignment_->restartAt(time_offset);
   imu_.setOffset(time_offset);
   shutter_open_ = false;
+  steady_mounting_.reset();
   last_guess_ = -1;
   right_angles_.reset();
   clocks_ = {};
@@ -202,6 +204,14 @@ bool ImuAlignment::mountingExplainsMore() const {
   return mounting_alignment_->misfit() <= kMountingGain * others;
 }
 
+// While little is known, what else an IMU and images do to each other makes an estimate that looks sure, and wanders.
+bool ImuAlignment::mountingIsSteady(double stamp) {
+  const Eigen::Vector3d mounting = mounting_alignment_->mounting();
+  if (!steady_mounting_ || (mounting - steady_mounting_->value).norm() > kMountingWander * mounting.norm())
+    steady_mounting_ = SteadyMounting{mounting, stamp};
+  return stamp - steady_mounting_->since > kMountingSteady;
+}
+
 std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
                                                            const std::vector<visual_frontend::Feature>& features) {
   if (!mounting_alignment_ || !mounting_alignment_->add(stamp, features, imu_.buffer()) ||
@@ -213,8 +223,8 @@ std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
   const Eigen::Vector3d change = mounting - in_use;
   const double nis = change.dot(mounting_alignment_->mountingCovariance().ldlt().solve(change));
   const bool first = in_use.isZero();
-  if (first && !mountingExplainsMore()) return std::nullopt;
-  if (change.norm() < (first ? kMountingStep : kMountingRefinement) || nis < (first ? kSureChi2Of3 : kMeanChi2Of3))
+  if (first && (!mountingIsSteady(stamp) || !mountingExplainsMore())) return std::nullopt;
+  if (change.norm() < (first ? kMountingStep : kMountingRefinement) || nis < (first ? kChi2Of3 : kMeanChi2Of3))
     return std::nullopt;
   const Eigen::Matrix3d before = imu_.mounting();
   imu_.setMounting(air_ground_common::expSO3(mounting));
@@ -245,7 +255,11 @@ void ImuAlignment::followBias(const Eigen::Vector3d& gyro_bias) {
 }
 
 bool ImuAlignment::adoptTimeOffset() {
-  const double offset = trusted().timeOffset(), sigma = trusted().timeOffsetStddev();
+  // A wrong mounting, too, makes turns come late. Misfit 0: of nothing yet.
+  const double misfit = mounting_alignment_ ? mounting_alignment_->misfit() : 0;
+  const bool by_mounting = misfit > 0 && misfit <= kMountingGain * trusted().misfit();
+  const GyroAlignment& clocks = by_mounting ? *mounting_alignment_ : trusted();
+  const double offset = clocks.timeOffset(), sigma = clocks.timeOffsetStddev();
   const double change = std::abs(offset - imu_.offset());
   if (sigma > (metric_ ? kOffsetSigma : kOpenOffsetSigma) ||
       change < std::max(kOffsetStep, (sigma > kOffsetSigma ? kRuledOut : 2) * sigma))

@@ -93,6 +93,7 @@ class ImuAlignment {
  private:
   const GyroAlignment& trusted() const { return shutter_open_ ? *shutter_alignment_ : gyro_alignment_; }
   bool mountingExplainsMore() const;
+  bool mountingIsSteady(double stamp);
   bool clockSearchDue(double stamp, bool metric) const;
   void restartAt(double time_offset);
   bool contradictsShutter() const;
@@ -109,6 +110,11 @@ class ImuAlignment {
   std::optional<GyroAlignment> shutter_alignment_;  ///< apart: what it estimates besides makes the others less certain
   bool shutter_open_ = false;  ///< the estimate without the readout time is wrong, as far as one can tell
   std::optional<GyroAlignment> mounting_alignment_;  ///< and this one the mounting
+  struct SteadyMounting {
+    Eigen::Vector3d value;
+    double since;  ///< [s]
+  };
+  std::optional<SteadyMounting> steady_mounting_;
   bool metric_ = false;
   double last_guess_ = -1;                       ///< of right angles [s]
   std::optional<Eigen::Matrix3d> right_angles_;  ///< R_given_imu by which gyro and images would agree

@@ -285,6 +285,7 @@ void Odometry::Impl::turnImu(const Eigen::Matrix3d& R_new_old) {
   if (!metric()) return adjustAnew();
   bias.accel = inertial.newestBias()->accel;
   scale.judgeAnew(frames, map, inertial.data(), metric_since);
+  adjustWholeMap();
 }
 
 visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {

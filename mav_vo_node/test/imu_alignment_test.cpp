@@ -3,6 +3,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
 #include "synthetic_flight.h"
 #include "visual_frontend/feature_tracker.h"
 
@@ -286,6 +290,24 @@ TEST(ImuAlignment, AdoptsAMountingThatIsOff) {
   EXPECT_LT((motion->velocity() - truth->velocity()).norm(), 0.012 * kGravity * 0.4 + 0.05);
   imu.reset();
   EXPECT_TRUE(imu.mounting().isIdentity());
+}
+
+// Turns about other axes than the IMU's look late, too.
+TEST(ImuAlignment, AMountingThatIsOffSetsNoClockWrong) {
+  for (const Eigen::Vector3d& turn :
+       {Eigen::Vector3d(0.03, 0, 0), Eigen::Vector3d(0, 0.03, 0), Eigen::Vector3d(0.02, -0.02, 0.02)}) {
+    ImuAlignment imu = make();
+    double worst = 0, adopted = -1;
+    Swing(0.01, 0, expSO3(turn)).show(imu, [&](double t, const std::vector<Feature>& features) {
+      imu.alignShutter(t, features, 0);
+      if (imu.alignMounting(t, features) && adopted < 0) adopted = t - Swing::kBegin;
+      if (imu.alignGyro(t, features, false) && imu.adoptTimeOffset())
+        worst = std::max(worst, std::abs(imu.timeOffset() - 0.01));
+    });
+    std::printf("mounting adopted after %.1f s, offset wrong by %.1f ms at most\n", adopted, 1e3 * worst);
+    EXPECT_LT(worst, 0.001);
+    EXPECT_GT(adopted, 2) << "a first figure wanders";
+  }
 }
 
 TEST(ImuAlignment, FoldedVibrationTellsNoMounting) {

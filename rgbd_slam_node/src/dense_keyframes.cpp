@@ -8,25 +8,44 @@ namespace rgbd_slam {
 
 using Points = std::vector<KeyframeDepth::Point>;
 
+namespace {
+
+constexpr double kRecentStep = 0.15;  // between frames that are remembered [s]
+constexpr double kRecent = 0.9;       // for how long: who walks has gone on by his own width [s]
+
+}  // namespace
+
 void DenseKeyframes::clear() {
   points_.clear();
   rays_.clear();
   gone_.clear();
+  recent_.clear();
   active_.reset();
 }
 
-void DenseKeyframes::begin(KeyframeId id, const cv::Mat& depth, const cv::Mat& colour,
-                           const visual_frontend::RollingShutter& rows) {
+void DenseKeyframes::remember(double stamp, const cv::Mat& depth, const Pose& T_map_camera,
+                              const visual_frontend::RollingShutter& rows) {
+  if (!recent_.empty() && stamp - recent_.back().stamp < kRecentStep) return;
+  recent_.push_back({stamp, depth.clone(), T_map_camera, rows});
+  while (stamp - recent_.front().stamp > kRecent) recent_.pop_front();
+}
+
+void DenseKeyframes::begin(KeyframeId id, double stamp, const cv::Mat& depth, const cv::Mat& colour,
+                           const Pose& T_map_camera, const visual_frontend::RollingShutter& rows) {
   finish();
   active_ = std::make_unique<KeyframeDepth>(camera_, depth, colour, depth_, cloud_, &rows);
   active_id_ = id;
+  for (const Recent& frame : recent_)
+    if (stamp - frame.stamp <= kRecent)
+      active_->fuse(camera_, frame.depth, frame.T_map_camera.inverse() * T_map_camera, depth_, cloud_, &frame.rows);
+  frames_before_ = active_->frames();
   rays_[id] = std::make_shared<const DepthRays>(camera_, depth, depth_);
 }
 
 void DenseKeyframes::fuse(const cv::Mat& depth, const Pose& T_frame_keyframe,
                           const visual_frontend::RollingShutter& rows) {
   if (!active_) return;
-  if (active_->frames() > max_frames_) return finish();
+  if (active_->frames() - frames_before_ >= max_frames_) return finish();
   active_->fuse(camera_, depth, T_frame_keyframe, depth_, cloud_, &rows);
 }
 

@@ -1,6 +1,7 @@
 // Dense points of the keyframes; those of the newest are still refined by the frames that share its view.
 #pragma once
 
+#include <deque>
 #include <map>
 #include <memory>
 #include <vector>
@@ -16,8 +17,13 @@ class DenseKeyframes {
       : camera_(camera), depth_(settings.depth), cloud_(settings.cloud), max_frames_(settings.max_fused_frames) {}
 
   void clear();
-  /// A new keyframe saw this.
-  void begin(KeyframeId id, const cv::Mat& depth, const cv::Mat& colour, const visual_frontend::RollingShutter& rows);
+  /// A frame whose depth refines keyframes that begin soon. `stamp` [s].
+  void remember(double stamp, const cv::Mat& depth, const Pose& T_map_camera,
+                const visual_frontend::RollingShutter& rows);
+  void forgetFrames() { recent_.clear(); }  ///< the map has moved
+  /// A new keyframe, at T_map_camera, saw this.
+  void begin(KeyframeId id, double stamp, const cv::Mat& depth, const cv::Mat& colour, const Pose& T_map_camera,
+             const visual_frontend::RollingShutter& rows);
   /// Refines the newest keyframe, as long as it is not finished, which it is after some frames. T_frame_keyframe: from
   /// its camera to the frame's.
   void fuse(const cv::Mat& depth, const Pose& T_frame_keyframe, const visual_frontend::RollingShutter& rows);
@@ -47,7 +53,15 @@ class DenseKeyframes {
   std::map<KeyframeId, KeyframePoints> points_;
   std::map<KeyframeId, std::shared_ptr<const DepthRays>> rays_;
   std::map<KeyframeId, GonePoints> gone_;  // of those that were looked through
+  struct Recent {
+    double stamp;
+    cv::Mat depth;
+    Pose T_map_camera;
+    visual_frontend::RollingShutter rows;
+  };
+  std::deque<Recent> recent_;
   std::unique_ptr<KeyframeDepth> active_;
+  int frames_before_ = 0;  // that it was refined by when it began
   KeyframeId active_id_ = visual_frontend::kNoKeyframe;
 };
 

@@ -1,4 +1,5 @@
-// What stood before the camera and went (persons, doors, chairs): later depth images see through it.
+// What stood before the camera and went (persons, doors, chairs): later depth images see through it, or, where nothing
+// is near enough beyond it to give a depth, see nothing where it gave one.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +9,8 @@
 
 namespace rgbd_slam {
 
-/// For the points of one keyframe, by how many depth images in turn each has been seen through. Not thread-safe.
+/// For the points of one keyframe, by how many depth images in turn each has been seen through. An image that sees
+/// nothing where the point should be, from about where the keyframe saw it, counts half. Not thread-safe.
 class GonePoints {
  public:
   /// Another depth image, CV_32F [m], NaN or <= 0 = unknown. `T_frame_keyframe`: from the keyframe's camera to the
@@ -20,7 +22,7 @@ class GonePoints {
   KeyframePoints left(const std::vector<KeyframeDepth::Point>& points);
 
  private:
-  std::vector<std::uint8_t> seen_through_;  // one a point [images]
+  std::vector<std::uint8_t> seen_through_;  // one a point [half images]
   std::size_t gone_ = 0;                    // points
 };
 

@@ -53,6 +53,15 @@ cv::Mat edges(const cv::Mat& depth, const DepthModel& model, double fx, double m
   return mask;
 }
 
+/// Neither the pixel nor what lies around it has a depth.
+bool missingAbout(const cv::Mat& depth, int u, int v) {
+  const int step = std::max(1, depth.cols / 128);
+  for (int y = v - step; y <= v + step; y += step)
+    for (int x = u - step; x <= u + step; x += step)
+      if (x >= 0 && y >= 0 && x < depth.cols && y < depth.rows && isKnown(depth.at<float>(y, x))) return false;
+  return true;
+}
+
 }  // namespace
 
 KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, const cv::Mat& bgr,
@@ -137,15 +146,24 @@ void KeyframeDepth::fuse(const CameraModel& camera, const cv::Mat& depth, const 
     const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
     if (u < 0 || v < 0 || u >= depth.cols || v >= depth.rows) continue;
     const float z = depth.at<float>(v, u);
-    if (!isKnown(z) || z < model.min_range || z > model.max_range) continue;
+    const auto contradict = [&cell] {
+      if (cell.disagree < 255) ++cell.disagree;
+    };
+    if (!isKnown(z)) {
+      // What gave a depth from here would give it again.
+      if (missingAbout(depth, u, v)) contradict();
+      continue;
+    }
+    if (z < model.min_range) continue;
     const float sigma = static_cast<float>(model.sigma(z)), difference = z - expected;
     // The surface may rise within the pixel: that much is no disagreement.
     const float slack = static_cast<float>(settings.gate) * sigma + 0.5f * z / static_cast<float>(camera.fx) * 3.f;
     if (std::abs(difference) > slack) {
       // Seen through the point: it is not there. Something nearer only hides it.
-      if (difference > 0 && cell.disagree < 255) ++cell.disagree;
+      if (difference > 0) contradict();
       continue;
     }
+    if (z > model.max_range) continue;
     if (cell.agree < 255) ++cell.agree;
     // Depth along the keyframe's ray whose image is at the measured depth.
     const float along = R.row(2).dot(Eigen::Vector3f(cell.x, cell.y, 1));

@@ -175,6 +175,7 @@ SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat&
   if (last_stamp >= 0) motion.checkCoverage(last_stamp, stamp);
   last_stamp = stamp;
   const bool adjusted = adoptWhole(stamp);
+  if (adjusted) dense.forgetFrames();
   const cv::Mat depth_now = carriedTo(stamp, depth, depth_delay);
   const RgbdImages images{stamp, gray, bgr.empty() ? gray : bgr, depth_now};
   const bool begun = state != State::kWaiting && state != State::kInitializing;
@@ -225,7 +226,12 @@ SlamResult Slam::Impl::follow(const RgbdImages& images) {
   const bool calibrated = result.keyframe && alignCalibration();
   result.recalibrated = alignShutter(images) || calibrated;
   if (levelMap() || result.recalibrated) result.map_corrected = true;
-  if (result.map_corrected) shutter.interrupt();
+  if (result.map_corrected) {
+    shutter.interrupt();
+    dense.forgetFrames();
+  } else {
+    dense.remember(stamp, images.depth, lastPose(), motion.rows());
+  }
   concludePose(covariance, tracked.pose.covariance, &result);
   return result;
 }

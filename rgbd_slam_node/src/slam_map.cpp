@@ -126,7 +126,7 @@ KeyframeId Slam::Impl::addKeyframe(const RgbdImages& images, const TrackedPose& 
   setReference(id);
   map.dropFarImages(T_map_camera,
                     visual_frontend::imagesKept(tracking.tracker().pyramid(), settings.max_image_keyframes));
-  dense.begin(id, images.depth, images.colour, motion.rows());
+  dense.begin(id, images.stamp, images.depth, images.colour, map.keyframe(id).T_map_camera, motion.rows());
   return id;
 }
 

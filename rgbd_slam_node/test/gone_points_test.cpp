@@ -13,9 +13,10 @@ namespace {
 using simulated::Robot;
 namespace synthetic = simulated::synthetic;
 
-/// A wall 2 m away, with noise, and before it a box, 1.4 m away and 100 pixels wide.
+/// A wall 2 m away, with noise, and before it a box, 1.4 m away and 100 pixels wide. `open`: a low wall, above which
+/// all is too far away for a depth.
 struct Wall : ::testing::Test {
-  Wall() {
+  explicit Wall(bool open_above = false) : open(open_above) {
     settings.max_fused_frames = 4;
     dense = std::make_unique<DenseKeyframes>(camera, settings);
     map.addKeyframe({});
@@ -23,6 +24,7 @@ struct Wall : ::testing::Test {
   }
   cv::Mat depth(bool box, int shift = 0) {
     cv::Mat image(camera.height, camera.width, CV_32F, cv::Scalar(2));
+    if (open) image.rowRange(0, 280) = NAN;
     if (box) image(cv::Rect(200 + shift, 150, 100, 100)) = 1.4f;
     for (int v = 0; v < image.rows; ++v)
       for (float& z : cv::Mat_<float>(image.row(v))) z += static_cast<float>(random.gauss(settings.depth.sigma(z)));
@@ -30,7 +32,8 @@ struct Wall : ::testing::Test {
   }
   /// The box stands there while the keyframe is refined, and for longer.
   void begin() {
-    dense->begin(0, depth(true), cv::Mat(camera.height, camera.width, CV_8U, cv::Scalar(80)), rows);
+    dense->begin(0, 0, depth(true), cv::Mat(camera.height, camera.width, CV_8U, cv::Scalar(80)), Pose::Identity(),
+                 rows);
     for (int i = 0; i < 8; ++i) {
       dense->fuse(depth(true), Pose::Identity(), rows);
       look(depth(true));
@@ -50,6 +53,7 @@ struct Wall : ::testing::Test {
   }
   int points() const { return static_cast<int>(dense->posed(map).front().points->size()); }
 
+  const bool open;
   CameraModel camera = synthetic::camera(false);
   SlamSettings settings;
   visual_frontend::Map map;
@@ -79,6 +83,42 @@ TEST_F(Wall, WhatIsHiddenOrNotMeasuredStays) {
     EXPECT_FALSE(look(cv::Mat(camera.height, camera.width, CV_32F, cv::Scalar(1))));
     EXPECT_FALSE(look(cv::Mat(camera.height, camera.width, CV_32F, cv::Scalar(NAN))));
   }
+  EXPECT_EQ(near(), begun);
+}
+
+struct LowWall : Wall {
+  LowWall() : Wall(true) {}
+};
+
+TEST_F(LowWall, WhoStoodBeforeTheSkyGoes) {
+  const int wall = points() - begun;
+  for (int i = 0; i < 7; ++i) EXPECT_FALSE(look(depth(false)));
+  EXPECT_TRUE(look(depth(false)));
+  EXPECT_EQ(near(), 0);
+  EXPECT_EQ(points(), wall) << "and nothing else";
+}
+
+// In one keyframe and some frames after it, and never before.
+TEST_F(LowWall, WhoHasJustComeIsLeftOutWhereNobodyStoodBefore) {
+  for (const bool before : {true, false}) {
+    dense->clear();
+    for (double t = 0; t < 0.85; t += 0.2) dense->remember(t, depth(before), Pose::Identity(), rows);
+    dense->begin(0, 1.0, depth(true), cv::Mat(camera.height, camera.width, CV_8U, cv::Scalar(80)), Pose::Identity(),
+                 rows);
+    for (int i = 0; i < 2; ++i) dense->fuse(depth(true), Pose::Identity(), rows);
+    EXPECT_EQ(near() > 0.9 * begun, before);
+    if (!before) EXPECT_EQ(near(), 0);
+    EXPECT_GT(points(), begun) << "the wall";
+  }
+}
+
+TEST_F(LowWall, WhatGivesNoDepthFromElsewhereStays) {
+  Pose nearer = Pose::Identity(), aside = Pose::Identity();
+  nearer.translation().z() = -0.5;  // 0.9 m before the box
+  aside.linear() = Eigen::AngleAxisd(0.35, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  aside.translation() = Eigen::Vector3d(0, 0, 1.4) - aside.linear() * Eigen::Vector3d(0, 0, 1.4);  // round the box
+  for (const Pose& T_frame_keyframe : {nearer, aside})
+    for (int i = 0; i < 20; ++i) look(depth(false), T_frame_keyframe);
   EXPECT_EQ(near(), begun);
 }
 

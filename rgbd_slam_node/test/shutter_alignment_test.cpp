@@ -109,7 +109,7 @@ TEST(MoveRows, DensePointsAreWhereTheMiddleRowSeesThem) {
   keyframe.T_map_camera = motion.T0;
   const KeyframeId id = map.addKeyframe(keyframe);
   DenseKeyframes dense(camera, {});
-  dense.begin(id, depth, gray, RollingShutter(camera, 0));
+  dense.begin(id, 0, depth, gray, Pose::Identity(), RollingShutter(camera, 0));
   KeyframeSurfaces surfaces(camera, {});
   const auto heights = [&] {  // the floor's, in the map: zero [m]
     double largest = 0;
@@ -144,7 +144,7 @@ struct Dense : ::testing::Test {
       map.addKeyframe(keyframe);
     }
   }
-  void begin(KeyframeId id, float z) { dense->begin(id, wall(camera, z), colour, rows); }
+  void begin(KeyframeId id, float z) { dense->begin(id, 0, wall(camera, z), colour, Pose::Identity(), rows); }
   void fuse(float z, const Pose& T_frame_keyframe = Pose::Identity()) {
     dense->fuse(wall(camera, z), T_frame_keyframe, rows);
   }

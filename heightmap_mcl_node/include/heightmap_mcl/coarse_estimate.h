@@ -43,16 +43,17 @@ struct CoarseEstimate : PlaceMeasures {
   bool guess = false;  ///< not CONVERGED, but see VerdictSettings::guess_ratio
   /// False until there is a pose at all (best guess; to be trusted only when status is kConverged).
   bool has_pose = false;
-  air_ground_common::Pose T_ground_mav =
-      air_ground_common::Pose::Identity();  ///< mav_map to ground_map; turns about z only
-  /// Of the aerial clouds: a point p of theirs lies at T_ground_mav * (scale * R_level * p).
+  air_ground_common::Pose T_ground_mav = air_ground_common::Pose::Identity();  ///< mav_map to ground_map, both level;
+                                                                               ///< turns about z only
+  /// Of the clouds: an aerial point p lies at R_ground_level^-1 * T_ground_mav * (scale * R_level * p) in ground_map.
   double scale = 1;
-  double scale_stddev = 0;                                ///< of it; 0 where the clouds are metric
-  Eigen::Matrix3d R_level = Eigen::Matrix3d::Identity();  ///< turns their dominant floor level
+  double scale_stddev = 0;                                       ///< of it; 0 where the clouds are metric
+  Eigen::Matrix3d R_level = Eigen::Matrix3d::Identity();         ///< turns the aerial map's dominant floor level
+  Eigen::Matrix3d R_ground_level = Eigen::Matrix3d::Identity();  ///< the ground map's
   /// By how much more its place stands out from the other ones than at the next best scale (logarithm of a likelihood
   /// ratio, times the share explained, summed over pieces of ground); infinite where the clouds are metric.
   double scale_evidence = std::numeric_limits<double>::infinity();
-  air_ground_common::Pose similarityPose() const;  ///< T_ground_mav * R_level: p_ground = scale * R p + t
+  air_ground_common::Pose similarityPose() const;  ///< of the maps as they are: p_ground = scale * R p + t
   /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
   /// AMBIGUOUS: widened by the way to the rival. DEGENERATE: as wide as the ground map, and pi, along what is not
   /// fixed. SEARCHING: 1e6 I.

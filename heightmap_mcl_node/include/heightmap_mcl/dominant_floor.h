@@ -1,4 +1,5 @@
-// The vertical of a map whose robot has no IMU: the normal of its dominant, about horizontal plane.
+// The dominant, about horizontal plane of a map: what is up where a robot has no IMU, and what heights are compared
+// above where both maps have one.
 #pragma once
 
 #include <Eigen/Core>
@@ -12,10 +13,20 @@ struct DominantFloor {
   double share = 0;                               ///< of the points that lie on the plane
 };
 
-/// The plane that holds most of the points among those whose normal is within `max_tilt` [rad] of `up` (RANSAC, then
-/// least squares over its points). Free of units: a point lies on it within two spacings of the cloud. Empty when no
-/// such plane holds `min_share` of the points. Deterministic.
+/// What counts as a floor.
+struct FloorRule {
+  double max_tilt = 0.2;    ///< of its normal [rad]
+  double min_share = 0.1;   ///< of the points, on the plane
+  double tolerance = 0;     ///< from the plane, of a point on it; 0: two spacings of the cloud
+  double min_flatness = 0;  ///< of the points within four tolerances: share on the plane. Uneven terrain has a third
+};
+
+/// That of floors in metres above which heights are compared.
+FloorRule flatFloorRule(double max_slope);
+
+/// The plane that holds most points among those whose normal is within `max_tilt` of `up` (RANSAC, then least squares
+/// over its points). With `tolerance` 0 free of units. Empty when no such plane meets the rule. Deterministic.
 std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& up,
-                                               double max_tilt, double min_share);
+                                               const FloorRule& rule);
 
 }  // namespace heightmap_mcl

@@ -90,6 +90,10 @@ class HeightMapLocalizer {
   void hearKeptMaps();
   void useNewestMap();
   void dropFarMaps();
+  /// Turns the ground map's floor level, if it is flat. The points, or what takes their place in `turned`.
+  const std::vector<Eigen::Vector3f>& levelGround(const std::vector<Eigen::Vector3f>& points,
+                                                  std::vector<Eigen::Vector3f>* turned);
+  void updateLevel();
   void updateScale();
   void updateFloor();
   void updateFilter();
@@ -103,6 +107,8 @@ class HeightMapLocalizer {
   HeightMapLocalizerSettings settings_;
   Prior prior_;
   std::unique_ptr<GroundModel> ground_;  // null without a ground map
+  bool ground_is_flat_ = false;
+  Eigen::Matrix3d R_ground_level_ = Eigen::Matrix3d::Identity();
   std::unique_ptr<KeptMaps> kept_;
   std::unique_ptr<ScaleSearch> scale_;
   std::unique_ptr<EvidenceSum> evidence_;

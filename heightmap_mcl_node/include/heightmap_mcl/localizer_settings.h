@@ -77,6 +77,7 @@ struct HeightMapLocalizerSettings {
   double min_explained = 0.25;  ///< see Zmssd::explained; the search charges a place with less as if without partners
   double edge_width = 0.04;     ///< by which the aerial map's edges may lie beside where they are [m], see aerialCells
   double cutoff = 0.1;          ///< see agreement.h [m]
+  double max_slope = 0.05;      ///< of flat floors, above which heights in metres are compared [rad]; 0: above level
   int headings = 72;            ///< over the full circle, in the coarse search
   int coarse_factor = 4;        ///< cells of the coarse search are this much larger
   FilterSettings filter;

@@ -275,7 +275,7 @@ class HeightmapMclNode {
   bool publishCoarse(const CoarseEstimate& e, const std_msgs::Header& header, const Work& work) {
     // tf has no scale.
     const bool for_tf = e.status == Status::kConverged && !work.own_unit;
-    if (!inbox_.conclude(for_tf ? std::make_optional(e.T_ground_mav) : std::nullopt)) return false;
+    if (!inbox_.conclude(for_tf ? std::make_optional(e.similarityPose()) : std::nullopt)) return false;
     air_ground::AlignmentEstimate coarse = toMsg(e, header, work.mav_frame, work.map_id);
     coarse.ground_map_id = work.ground_map_id;
     coarse_.publish(coarse);

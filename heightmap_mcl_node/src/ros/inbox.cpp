@@ -7,6 +7,7 @@
 #include "air_ground_common/map_correction.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/map_correction.h"
+#include "air_ground_common/ros/vertical_message.h"
 
 namespace heightmap_mcl {
 
@@ -89,9 +90,7 @@ void Inbox::addMavStatus(const air_ground::VoStatusConstPtr& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
   // Once scaled, the MAV speaks of its metric map.
   if (!mav_.admitStatus(kMavStatus, *msg) || msg->state != air_ground::VoStatus::STATE_SCALING) return;
-  const Eigen::Vector3d up(msg->up.x, msg->up.y, msg->up.z);
-  if (msg->tilt_stddev > 0 && std::isfinite(msg->tilt_stddev) && up.allFinite() && up.norm() > 0.5)
-    mav_vertical_ = {up.normalized(), msg->tilt_stddev};
+  if (const auto vertical = ros_utils::verticalFromMsg(*msg); vertical.stddev > 0) mav_vertical_ = vertical;
 }
 
 void Inbox::addGroundStatus(const air_ground::VoStatusConstPtr& msg) {

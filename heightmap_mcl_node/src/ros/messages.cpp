@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/ros/conversions.h"
 
 namespace heightmap_mcl {
@@ -59,12 +60,14 @@ AlignmentEstimate toMsg(const CoarseEstimate& e, const std_msgs::Header& header,
   msg.header = header;
   msg.child_frame_id = mav_frame;
   msg.pose.pose = ros_utils::toMsg(e.similarityPose());
-  ros_utils::setCovariance(e.covariance, &msg.pose.covariance);
+  const Eigen::Matrix3d R = e.R_ground_level.transpose();
+  ros_utils::setCovariance(air_ground_common::aboutAxes(R, e.covariance), &msg.pose.covariance);
   msg.scale = e.scale;
   msg.scale_stddev = e.scale_stddev;
-  msg.reference_point.x = e.reference_point.x();
-  msg.reference_point.y = e.reference_point.y();
-  msg.reference_point.z = e.reference_point.z();
+  const Eigen::Vector3d reference_point = R * e.reference_point;
+  msg.reference_point.x = reference_point.x();
+  msg.reference_point.y = reference_point.y();
+  msg.reference_point.z = reference_point.z();
   msg.status = static_cast<std::uint8_t>(e.status);
   msg.guess = e.guess;
   msg.stage = AlignmentEstimate::STAGE_COARSE;

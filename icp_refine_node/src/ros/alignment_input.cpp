@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/vertical_message.h"
 
 namespace icp_refine {
 
@@ -45,14 +46,8 @@ CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bo
 
 Vertical verticalFrom(const air_ground::VoStatus& msg) {
   constexpr double kNearZ = 0.9;  // the prior is linear in the lean
-  const Eigen::Vector3d up(msg.up.x, msg.up.y, msg.up.z);
-  Vertical vertical;
-  if (!(msg.tilt_stddev > 0) || !std::isfinite(msg.tilt_stddev)) return vertical;
-  vertical.stddev = msg.tilt_stddev;
-  if (up.isZero()) return vertical;
-  if (!up.allFinite() || !(up.z() > kNearZ * up.norm())) return {};
-  vertical.up = up.normalized();
-  return vertical;
+  const Vertical vertical = ros_utils::verticalFromMsg(msg);
+  return vertical.up.z() > kNearZ ? vertical : Vertical{};
 }
 
 KnownAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {

@@ -4,6 +4,7 @@
 
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/vertical_message.h"
 
 namespace mav_vo {
 
@@ -52,10 +53,7 @@ air_ground::VoStatus statusMessage(const VoResult& r) {
   status.map_points = static_cast<std::uint32_t>(r.landmarks);
   status.scale = r.scale;
   status.scale_stddev = r.scale_stddev;
-  status.tilt_stddev = r.vertical.stddev;
-  status.up.x = r.vertical.up.x();
-  status.up.y = r.vertical.up.y();
-  status.up.z = r.vertical.up.z();
+  ros_utils::setVertical(r.vertical, &status);
   status.map_revision = r.map_revision;
   status.processing_time = r.seconds;
   status.reason = r.reason;

@@ -14,6 +14,7 @@
 #include "air_ground_common/ros/estimator_shell.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
+#include "air_ground_common/ros/vertical_message.h"
 #include "air_ground_common/text.h"
 #include "cloud_publisher.h"
 #include "depth_input.h"
@@ -178,13 +179,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     map_revision_ += r.map_corrected;
     status.map_revision = map_revision_;
     status.scale = 1.0;
-    if (slam_->gravityKnown() || slam_->levelBySurfaces()) {
-      const Vertical vertical = slam_->vertical();
-      status.tilt_stddev = vertical.stddev;
-      status.up.x = vertical.up.x();
-      status.up.y = vertical.up.y();
-      status.up.z = vertical.up.z();
-    }
+    if (slam_->gravityKnown() || slam_->levelBySurfaces()) ros_utils::setVertical(slam_->vertical(), &status);
     status.processing_time = seconds;
     status.reason = r.reason;
     if (r.by_depth) tellByDepth(r.inliers, status.reason);
