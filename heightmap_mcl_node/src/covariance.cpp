@@ -48,9 +48,16 @@ Eigen::Matrix3d planarCovariance(const FoundPlace& place, const PlaceMeasures& m
   // The curvature of a flat floor is that of its noise.
   if (measures.relief < s.verdict.min_relief) information.setZero();
   Eigen::Matrix3d planar = boundedInverse(information, limit);
-  if (!degenerate) return planar;
-  // The flattest direction changes the cost too little to be told from noise, whatever its curvature just here.
   const Eigen::Vector3d& flattest = measures.flattest;
+  if (!degenerate) {
+    // Edges and noise bend the cost more just here than what stands does as far as the probe reaches.
+    const double by_curvature = flattest.dot(planar.ldlt().solve(flattest)),
+                 by_probe = independent * std::max(measures.probe_ratio - 1, 0.0);
+    if (by_probe > 0 && by_probe < by_curvature)
+      planar += (1 / by_probe - 1 / by_curvature) * flattest * flattest.transpose();
+    return planar;
+  }
+  // The flattest direction changes the cost too little to be told from noise, whatever its curvature just here.
   const double reach =
       std::min(extent / std::max(flattest.head<2>().norm(), 1e-9), M_PI / std::max(std::abs(flattest.z()), 1e-9));
   const Eigen::Vector3d open = reach * flattest;
