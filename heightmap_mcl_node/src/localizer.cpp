@@ -166,7 +166,6 @@ bool HeightMapLocalizer::stillStands() const {
 void HeightMapLocalizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(kept_->size());
-  updateLevel();
   updateScale();
   updateFloor();
   filter_map_ = kept_->merged(settings_.accumulate);

@@ -77,8 +77,7 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
     "this costs no more than that");
   v("max_slope", s.max_slope, {0, 0.3}, "rad",
     "where most of the ground robot's floor is one plane that leans by this or less (a slope, or a map that is not "
-    "quite "
-    "level), heights are compared above each map's own; 0 = paper: above level");
+    "quite level), heights are compared above each map's own; 0 = paper: above level");
   v("scale_min", s.own_unit.scale_min, {1e-3, 1e3}, "m per unit",
     "of the clouds of a MAV without IMU, whose unit is the distance of what it saw when its map began; the search "
     "takes all from here ...");

@@ -9,8 +9,9 @@ namespace rgbd_slam {
 
 namespace {
 
-constexpr int kLooks = 4;                // images in turn that see through a point, none that sees it between
-constexpr int kThroughWeight = 2;        // of one that sees something beyond, for one that sees nothing at all
+constexpr int kLooks = 4;          // images in turn that see through a point, none that sees it between
+constexpr int kThroughWeight = 2;  // of one that sees something beyond, for one that sees nothing at all
+constexpr int kGone = kLooks * kThroughWeight;
 constexpr std::size_t kWorthwhile = 50;  // points
 constexpr double kClearance = 0.05;      // behind a point and the noise: poses of keyframes err a little [m]
 constexpr float kFarther = 2;            // than the keyframe saw it: thin things are seen no more [1]
@@ -25,14 +26,14 @@ Sight sightAt(const cv::Mat& depth, int u, int v, float expected, float clearanc
               const CloudSettings& settings) {
   if (u < 0 || v < 0 || u >= depth.cols || v >= depth.rows) return Sight::kUnknown;
   const float z = depth.at<float>(v, u);
-  if (!std::isfinite(z) || z <= 0) return Sight::kMissing;
+  if (!isKnown(z)) return Sight::kMissing;
   const float beyond = z - expected, noise = static_cast<float>(settings.gate * model.sigma(z));
   if (beyond > noise + clearance) return Sight::kThrough;
   return beyond > -noise - clearance ? Sight::kThere : Sight::kUnknown;  // something nearer only hides it
 }
 
-/// Through where the point should be and all that is known about it, most of what there is; there where any of it is.
-/// Missing where nothing near it gives a depth.
+/// Of a point that is not there itself. Through where that holds for most of what lies about it, missing where next to
+/// nothing of it gives a nearer depth; unknown where any of it is there.
 Sight sightAbout(const cv::Mat& depth, int u, int v, float expected, float clearance, const DepthModel& model,
                  const CloudSettings& settings) {
   const int step = std::max(1, static_cast<int>(std::lround(kAround * depth.cols)));
@@ -40,7 +41,7 @@ Sight sightAbout(const cv::Mat& depth, int u, int v, float expected, float clear
   for (int k = 0; k < 9; ++k) {
     const Sight sight =
         sightAt(depth, u + (k % 3 - 1) * step, v + (k / 3 - 1) * step, expected, clearance, model, settings);
-    if (sight == Sight::kThere) return k == 4 ? Sight::kThere : Sight::kUnknown;
+    if (sight == Sight::kThere) return Sight::kUnknown;
     through += sight == Sight::kThrough;
     missing += sight == Sight::kMissing;
   }
@@ -87,7 +88,6 @@ void GonePoints::look(const air_ground_common::CameraModel& camera, const std::v
     missing += sights[i] == Sight::kMissing;
   }
   const bool covered = static_cast<double>(there) < kStands * static_cast<double>(there + missing);
-  constexpr int kGone = kLooks * kThroughWeight;
   for (std::size_t i = 0; i < points.size(); ++i) {
     std::uint8_t& seen = seen_through_[i];
     if (seen >= kGone) continue;
@@ -103,7 +103,7 @@ KeyframePoints GonePoints::left(const std::vector<KeyframeDepth::Point>& points)
   auto left = std::make_shared<std::vector<KeyframeDepth::Point>>();
   std::vector<std::uint8_t> seen_through;
   for (std::size_t i = 0; i < points.size(); ++i) {
-    if (seen_through_[i] >= kLooks * kThroughWeight) continue;
+    if (seen_through_[i] >= kGone) continue;
     left->push_back(points[i]);
     seen_through.push_back(seen_through_[i]);
   }

@@ -17,8 +17,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("niceness", s.niceness, {0, 19}, "", air_ground_common::kNiceness);
   v("queue_size", s.queue_size, {10, 10000}, "",
     "posed images that may wait for the worker (512 MB of them at the most); the oldest are dropped, and counted, "
-    "beyond "
-    "it");
+    "beyond it");
   v("max_latency", s.max_latency, {0, 600}, "s",
     "live: waiting images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops "
     "none");
