@@ -217,8 +217,7 @@ std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
   if (!mounting_alignment_ || !mounting_alignment_->add(stamp, features, imu_.buffer()) ||
       mounting_alignment_->misfit() > kShutterMisfit)
     return std::nullopt;
-  // The vibration is folded down in the gyro, too, whose turns tell little then.
-  if (accel_noise_.density() > visual_frontend::AccelNoise::kFolded) return std::nullopt;
+  if (vibrates()) return std::nullopt;
   const Eigen::Vector3d mounting = mounting_alignment_->mounting(), in_use = gyro_alignment_.mounting();
   const Eigen::Vector3d change = mounting - in_use;
   const double nis = change.dot(mounting_alignment_->mountingCovariance().ldlt().solve(change));

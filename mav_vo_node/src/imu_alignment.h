@@ -71,6 +71,8 @@ class ImuAlignment {
     constexpr double kSlowest = 0.05;  // of an IMU's samples, that tells a vehicle's motion [s]
     return imu_.motion(stamp_a, stamp_b, noise(), bias, coverageProblem().empty() ? kLongestGap : kSlowest);
   }
+  /// So that turns are folded down in the gyro, and tell little.
+  bool vibrates() const { return accel_noise_.density() > visual_frontend::AccelNoise::kFolded; }
   /// As given, or more where the accelerometer's samples show more.
   ImuNoise noise() const;
   std::string problem() const;  ///< empty: gyro and images agree

@@ -1,5 +1,6 @@
 #include "inertial_keyframes.h"
 
+#include <algorithm>
 #include <cmath>
 #include <iterator>
 
@@ -13,12 +14,16 @@ namespace {
 
 constexpr double kLinkGate = 30.7;        // chi-squared, three degrees of freedom, one in a million
 constexpr double kVelocityStddev = 0.05;  // of a keyframe's adjusted velocity [m/s]
+constexpr double kFineMounting = 0.009;   // of a mounting that the tracks do not find to be another [rad]
 constexpr double kTurnStddev = 0.005;     // of the turn between two keyframes by their landmarks [rad]
 
 }  // namespace
 
 InertialKeyframes::InertialKeyframes(const OdometrySettings& settings, const Pose& T_camera_imu)
-    : accel_bias_stddev_(settings.scale.accel_bias_stddev), position_stddev_(settings.scale.position_stddev) {
+    : accel_bias_stddev_(settings.scale.accel_bias_stddev),
+      position_stddev_(settings.scale.position_stddev),
+      mounting_stddev_(std::min(kFineMounting, settings.imu_rotation_stddev)),
+      R_camera_imu_(T_camera_imu.linear()) {
   data_.T_camera_imu = T_camera_imu;
 }
 
@@ -73,7 +78,19 @@ void InertialKeyframes::forgetLinksBefore(KeyframeId id) {
   data_.links.erase(data_.links.begin(), data_.links.lower_bound(id));
 }
 
+visual_frontend::BundleProblem::Mounting InertialKeyframes::openMounting() const {
+  visual_frontend::BundleProblem::Mounting open;
+  open.mean = -air_ground_common::logSO3(mounting());
+  open.sigma = mounting_stddev_;
+  return open;
+}
+
+void InertialKeyframes::mount(const Eigen::Vector3d& turn) {
+  data_.T_camera_imu.linear() *= air_ground_common::expSO3(turn);
+}
+
 void InertialKeyframes::turn(const Eigen::Matrix3d& R_new_old, const visual_frontend::Map& map) {
+  data_.T_camera_imu.linear() = R_camera_imu_;
   for (auto& link : data_.links) link.second = link.second.turned(R_new_old);
   for (auto& [id, state] : data_.states) {
     const Eigen::Vector3d up =

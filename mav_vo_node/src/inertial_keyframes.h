@@ -42,8 +42,16 @@ class InertialKeyframes {
     }
   }
 
-  /// The IMU's axes have become others; what its accelerometer reads stays, so its bias takes up the difference.
+  /// The IMU's axes have become others, and what adjustments have found of them is void; what its accelerometer reads
+  /// stays, so its bias takes up the difference.
   void turn(const Eigen::Matrix3d& R_new_old, const visual_frontend::Map& map);
+
+  /// How far the IMU may be turned yet against its mounting as given, for an adjustment of the whole map.
+  visual_frontend::BundleProblem::Mounting openMounting() const;
+  /// As such an adjustment, whose poses and states are in the map, has found it [rad].
+  void mount(const Eigen::Vector3d& turn);
+  /// From the IMU's axes to those that it was given to have, as adjustments have found them.
+  Eigen::Matrix3d mounting() const { return R_camera_imu_.transpose() * data_.T_camera_imu.linear(); }
 
   bool linked() const { return !data_.links.empty(); }
   /// Of the newest keyframe; null: there is none.
@@ -52,7 +60,8 @@ class InertialKeyframes {
   visual_frontend::InertialMap& data() { return data_; }  ///< for applyBundle
 
  private:
-  double accel_bias_stddev_, position_stddev_;
+  double accel_bias_stddev_, position_stddev_, mounting_stddev_;
+  Eigen::Matrix3d R_camera_imu_;  // as given
   visual_frontend::InertialMap data_;
 };
 

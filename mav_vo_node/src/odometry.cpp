@@ -325,7 +325,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->time_offset_stddev = imu.timeOffsetStddev();
   result->readout_time = pose.readoutTime();
   result->readout_time_stddev = imu.readoutTimeStddev();
-  result->R_given_imu = imu.mounting();
+  result->R_given_imu = inertial.mounting() * imu.mounting();
   result->imu_rotation_stddev = imu.mountingStddev();
   if (settings.use_imu) result->accel_noise = imu.noise().accel_density;
   result->pose_valid = pose.locatedStamp() >= 0 && pose.locatedStamp() == result->stamp && pose.result().success;

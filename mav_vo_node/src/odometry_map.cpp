@@ -281,6 +281,7 @@ void Odometry::Impl::turnImu(const Eigen::Matrix3d& R_new_old) {
   if (map.keyframeCount() == 0) return;
   adopt(adjuster.finish());
   inertial.turn(R_new_old, map);
+  T_camera_imu = inertial.data().T_camera_imu;
   scale.turn(R_new_old);
   if (!metric()) return adjustAnew();
   bias.accel = inertial.newestBias()->accel;
@@ -301,6 +302,8 @@ visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {
 void Odometry::Impl::adjustWholeMap() {
   BundleJob whole = adjuster.wholeMap(map, inertial.data(), bundleSettings());
   if (calibration.estimates()) calibration.open(velocityAt(), map, &whole);
+  // A vibration that is folded down turns the gyro, too.
+  if (settings.imu_rotation_stddev > 0 && metric() && !imu.vibrates()) whole.problem.mounting = inertial.openMounting();
   adopt(adjuster.adjustWhole(std::move(whole), last_stamp));
 }
 
@@ -354,6 +357,10 @@ void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
   for (const BundleJob& job : jobs) {
     if (!job.result.usable || job.problem.metric != metric()) continue;
     applyBundle(job, map, &inertial.data());
+    if (job.problem.mounting) {
+      inertial.mount(job.problem.mounting->turn);
+      T_camera_imu = inertial.data().T_camera_imu;
+    }
     revision.follow(map, pose.sceneDistance());
     if (job.problem.calibration) recalibrate(*job.problem.calibration);
     const ImuBias* newest = inertial.newestBias();

@@ -37,6 +37,26 @@ TEST(Odometry, FindsHowTheImuIsTurned) {
   }
 }
 
+// Too little for the tracks to be sure of; the map is. With 0.5 degrees, and with none.
+TEST(Odometry, TheMapTellsHowTheImuIsTurned) {
+  for (const Eigen::Vector3d& degrees : {Eigen::Vector3d(0.3, -0.3, 0.25), Eigen::Vector3d(0, 0, 0)}) {
+    Options options;
+    options.flight.wobble = 0.15;
+    options.R_given_imu = air_ground_common::expSO3(Eigen::Vector3d(kDegree * degrees));
+    options.end = 22;
+    const Outcome o = fly(options);
+    const VoResult& last = o.frames.back();
+    const double off = air_ground_common::rotationAngle(last.R_given_imu, options.R_given_imu) / kDegree;
+    ASSERT_GT(o.metric_at, 0) << last.reason;
+    double scale_error = 1;
+    const double error = ate(o, o.final_poses, &scale_error);
+    std::printf("IMU turned by %.1f degrees: found to %.2f, ATE %.4f m, scale %+.2f %%\n", degrees.norm(), off, error,
+                100 * scale_error);
+    EXPECT_LT(off, 0.25);
+    EXPECT_LT(std::abs(scale_error), 0.01);
+  }
+}
+
 // A camera on USB that is stamped when its image arrives, or drivers on two computers.
 TEST(Odometry, FindsClocksThatAreFarApart) {
   for (const double shift : {0.25, -0.4}) {

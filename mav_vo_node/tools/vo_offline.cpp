@@ -117,6 +117,12 @@ class OfflineRun {
       printShapeError(truth_, final_poses);
   }
   air_ground_common::Trajectory trajectory() const { return odometry_.trajectory(); }
+  /// The camera's metric poses, each as it was published.
+  air_ground_common::Trajectory published() const {
+    auto poses = online_;
+    for (auto& p : poses) p.T_map_body = p.T_map_body * T_base_camera_;
+    return poses;
+  }
   std::string unit() const { return odometry_.metric() ? "" : air_ground_common::kOwnUnit; }
 
  private:
@@ -295,7 +301,7 @@ void runFolder(const mav_vo::EurocFolder& folder, double start, double duration,
 
 int main(int argc, char** argv) {
   CLI::App app{"Visual odometry over a bag, or over a folder in the EuRoC layout"};
-  std::string path, out;
+  std::string path, out, published;
   Topics topics;
   double duration = 0, start = 0, imu_shift = 0;
   bool verbose = false, live = false, replay = false;
@@ -304,6 +310,7 @@ int main(int argc, char** argv) {
   mav_vo::OdometrySettings settings;
   app.add_option("recording", path, "bag file, or folder that holds mav0")->required();
   app.add_option("--out", out, "TUM file for the camera's trajectory");
+  app.add_option("--published", published, "TUM file for the camera's metric poses, each as it was published");
   app.add_option("--image", topics.image, "image topic");
   app.add_option("--info", topics.info, "calibration topic");
   app.add_option("--imu", topics.imu, "IMU topic");
@@ -375,5 +382,6 @@ int main(int argc, char** argv) {
     runFolder(folder, start, duration, run);
   run.finish();
   if (!out.empty()) air_ground_common::writeTum(out, run.trajectory(), run.unit());
+  if (!published.empty()) air_ground_common::writeTum(published, run.published());
   return 0;
 }

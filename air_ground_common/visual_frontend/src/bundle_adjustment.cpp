@@ -63,6 +63,8 @@ void check(const BundleProblem& problem) {
     if (!(link.motion.duration() > 0)) fail("a link without inertial samples");
   }
   if (problem.anchor >= cameras) fail("the anchor is out of range");
+  if (problem.mounting && !(problem.mounting->sigma > 0 && problem.mounting->turn.allFinite()))
+    fail("the standard deviation of a mounting must be positive, its turn finite");
   if (problem.calibration && !(problem.calibration->sigma.array() > 0).all())
     fail("standard deviations of a calibration must be positive");
 }
@@ -131,6 +133,7 @@ class Solver {
       R_0_.push_back(camera.T_map_camera.linear());
     }
     addCalibration();
+    addMounting();
     addMeasurements();
     addPriors();
     addLinks();
@@ -171,6 +174,7 @@ class Solver {
 
   void writeBack() {
     writeBackCalibration();
+    if (problem_.mounting) problem_.mounting->turn = Eigen::Map<const Eigen::Vector3d>(mounting());
     for (std::size_t i = 0; i < problem_.cameras.size(); ++i) {
       BundleProblem::Camera& c = problem_.cameras[i];
       const Block& b = block_[i];
@@ -193,6 +197,20 @@ class Solver {
         new ceres::NormalPrior(Eigen::MatrixXd(estimate.sigma.cwiseInverse().asDiagonal()), estimate.mean), nullptr,
         calibration());
     ordering_->AddElementToGroup(calibration(), 1);
+  }
+
+  /// Likewise.
+  double* mounting() { return block_.back().velocity.data(); }
+
+  void addMounting() {
+    Eigen::Map<Eigen::Vector3d> turn(mounting());
+    turn.setZero();
+    if (!problem_.mounting || !problem_.metric || problem_.links.empty()) return;
+    turn = problem_.mounting->turn;
+    ceres_.AddResidualBlock(
+        new ceres::NormalPrior(Eigen::MatrixXd(Eigen::Matrix3d::Identity() / problem_.mounting->sigma),
+                               problem_.mounting->mean),
+        nullptr, mounting());
   }
 
   void writeBackCalibration() {
@@ -255,7 +273,8 @@ class Solver {
       const Eigen::Matrix3d &R_a = R_0_[link.camera_a], &R_b = R_0_[link.camera_b];
       if (problem_.metric) {
         ceres_.AddResidualBlock(new InertialCost(R_a, R_b, problem_.T_camera_imu, link.motion), &link_loss_,
-                                a.camera.data(), a.velocity.data(), a.bias.data(), b.camera.data(), b.velocity.data());
+                                a.camera.data(), a.velocity.data(), a.bias.data(), b.camera.data(), b.velocity.data(),
+                                mounting());
       } else {
         ceres_.AddResidualBlock(new GyroCost(R_a, R_b, problem_.T_camera_imu.linear(), link.motion), &link_loss_,
                                 a.camera.data(), a.bias.data(), b.camera.data());
@@ -266,6 +285,9 @@ class Solver {
                               nullptr, a.bias.data(), b.bias.data());
       for (const int i : {link.camera_a, link.camera_b}) camera_used_[i] = state_used_[i] = 1;
     }
+    if (!problem_.metric || problem_.links.empty()) return;
+    ordering_->AddElementToGroup(mounting(), 1);
+    if (!problem_.mounting) ceres_.SetParameterBlockConstant(mounting());
   }
 
   void addCameras() {

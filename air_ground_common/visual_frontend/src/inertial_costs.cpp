@@ -23,8 +23,9 @@ bool InertialCost::Evaluate(double const* const* x, double* residuals, double** 
   const CameraState<6> camera_i(x[0], R_i_0_), camera_j(x[3], R_j_0_);
   const Eigen::Map<const Eigen::Vector3d> v_i(x[1]), v_j(x[4]);
   const ImuBias bias{Eigen::Map<const Eigen::Vector3d>(x[2]), Eigen::Map<const Eigen::Vector3d>(x[2] + 3)};
-  const Eigen::Vector3d lever_i = camera_i.R * lever_, lever_j = camera_j.R * lever_;
-  const Eigen::Matrix3d Rt_i = (camera_i.R * R_camera_imu_).transpose(), R_j = camera_j.R * R_camera_imu_;
+  const Eigen::Vector3d lever_i = camera_i.R * lever_, lever_j = camera_j.R * lever_, turn(x[5][0], x[5][1], x[5][2]);
+  const Eigen::Matrix3d R_camera_imu = R_camera_imu_ * air_ground_common::expSO3(turn);
+  const Eigen::Matrix3d Rt_i = (camera_i.R * R_camera_imu).transpose(), R_j = camera_j.R * R_camera_imu;
   const double dt = motion_.duration();
   const Eigen::Vector3d g(0, 0, -kGravity);
   const Eigen::Vector3d dv = v_j - v_i - g * dt;
@@ -68,6 +69,11 @@ bool InertialCost::Evaluate(double const* const* x, double* residuals, double** 
     Eigen::Matrix<double, 9, 3> J;
     J << Eigen::Matrix3d::Zero(), Rt_i, Eigen::Matrix3d::Zero();
     rowMajor<9, 3>(jacobians[4]) = W_ * J;
+  }
+  if (jacobians[5]) {
+    Eigen::Matrix<double, 9, 3> J;
+    J << J_r * (Eigen::Matrix3d::Identity() - (Rt_i * R_j).transpose()), skew(Rt_i * dv), skew(Rt_i * dp);
+    rowMajor<9, 3>(jacobians[5]) = W_ * J * air_ground_common::rightJacobianSO3(turn);
   }
   return true;
 }

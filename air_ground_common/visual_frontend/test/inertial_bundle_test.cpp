@@ -68,7 +68,8 @@ TEST(InertialCost, VanishesAtTheTruth) {
   Eigen::Map<Eigen::Vector3d>(bias_vector.data()) = bias.gyro;
   Eigen::Map<Eigen::Vector3d>(bias_vector.data() + 3) = bias.accel;
   const Eigen::Vector3d va = flight.velocity(t0), vb = flight.velocity(t1);
-  const double* x[] = {ca.data(), va.data(), bias_vector.data(), cb.data(), vb.data()};
+  const Eigen::Vector3d as_given = Eigen::Vector3d::Zero();
+  const double* x[] = {ca.data(), va.data(), bias_vector.data(), cb.data(), vb.data(), as_given.data()};
   Eigen::Matrix<double, 9, 1> r;
   ASSERT_TRUE(cost.Evaluate(x, r.data(), nullptr));
   EXPECT_LT(r.norm(), 0.3);
@@ -87,7 +88,8 @@ TEST(InertialCost, JacobiansMatchNumericDerivatives) {
     for (double& e : v) e = normal(random);
     return v;
   };
-  checkJacobians<9, 5>(cost, {vector(6, 0.05), vector(3, 1.0), vector(6, 1e-4), vector(6, 0.05), vector(3, 1.0)}, 2e-3);
+  checkJacobians<9, 6>(
+      cost, {vector(6, 0.05), vector(3, 1.0), vector(6, 1e-4), vector(6, 0.05), vector(3, 1.0), vector(3, 0.1)}, 2e-3);
 }
 
 TEST(GyroCost, JacobiansMatchNumericDerivatives) {
@@ -116,12 +118,12 @@ struct World {
   std::vector<Pose> truth;
 };
 
-/// Twelve keyframes over six seconds with noisy images and IMU; the map starts `scale` times too large and tilted.
-World makeWorld(double scale, double tilt, unsigned seed) {
+/// Keyframes, two a second, with noisy images and IMU; the map starts `scale` times too large and tilted.
+World makeWorld(double scale, double tilt, unsigned seed, int count = 400, int keyframes = 12) {
   const synthetic::Flight flight;
   std::mt19937 random(seed);
   std::normal_distribution<double> normal;
-  const auto points = synthetic::pointCloud(400, random);
+  const auto points = synthetic::pointCloud(count, random);
   const auto camera = synthetic::camera();
   const double sigma = 0.5 / camera.fx, begin = 2.2, step = 0.5;
   const ImuNoise noise;
@@ -133,7 +135,7 @@ World makeWorld(double scale, double tilt, unsigned seed) {
   p.points = points;
   p.T_camera_imu = synthetic::T_imu_camera().inverse();
   p.anchor = 0;
-  for (int k = 0; k < 12; ++k) {
+  for (int k = 0; k < keyframes; ++k) {
     const double t = begin + k * step;
     const Pose T = flight.T_world_imu(t) * synthetic::T_imu_camera();
     world.truth.push_back(T);
@@ -180,6 +182,34 @@ TEST(InertialBundle, FindsScaleAndGravity) {
     EXPECT_LT((world.problem.cameras[0].T_map_camera.translation() - world.truth[0].translation()).norm(), 1e-3);
     EXPECT_LT((world.problem.cameras.back().state.bias.accel - Eigen::Vector3d(0.04, -0.06, 0.03)).norm(), 0.05);
     EXPECT_LT((world.problem.cameras.back().state.bias.gyro - Eigen::Vector3d(2e-3, -1e-3, 1e-3)).norm(), 1e-3);
+  }
+}
+
+// The axes that the problem is given are turned by half a degree against those that the IMU has.
+TEST(InertialBundle, FindsHowTheImuIsTurned) {
+  for (const Eigen::Vector3d turn : {Eigen::Vector3d(0.006, -0.004, 0.005), Eigen::Vector3d(0, 0, 0)}) {
+    double cost_held = 0;
+    for (const bool estimated : {false, true}) {
+      World world = makeWorld(1.0, 0.0, 9, 4000, 40);
+      auto& T_camera_imu = world.problem.T_camera_imu;
+      T_camera_imu.linear() = T_camera_imu.linear() * air_ground_common::expSO3(turn).transpose();
+      if (estimated) world.problem.mounting = BundleProblem::Mounting{};
+      BundleSettings settings;
+      settings.max_iterations = 40;
+      const auto result = solveBundle(world.problem, settings);
+      ASSERT_TRUE(result.usable);
+      if (!estimated) {
+        cost_held = result.final_cost;
+        continue;
+      }
+      EXPECT_LT((world.problem.mounting->turn - turn).norm(), 0.0035) << world.problem.mounting->turn.transpose();
+      // Three numbers explain what half a degree makes the links contradict the images by, and little where nothing
+      // does.
+      if (turn.isZero())
+        EXPECT_NEAR(result.final_cost, cost_held, 10);
+      else
+        EXPECT_LT(result.final_cost, cost_held - 20);
+    }
   }
 }
 

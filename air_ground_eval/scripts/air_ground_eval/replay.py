@@ -365,6 +365,9 @@ def wait_for_rest(recorder, idle_time, limit):
             quiet_since = now
         if now - quiet_since >= idle_time:
             return
+    if rospy.is_shutdown():
+        rospy.logwarn('the launch is ending (a node that it requires died, or it was interrupted): the report is written now, with what the nodes have given so far')
+        return
     rospy.logwarn('the nodes were still busy %.0f s after the end of the bag (idle_limit): the report is written now, without what they have yet to do', limit)
 
 

@@ -127,9 +127,10 @@ class HeightmapMclNode {
 
   void work() {
     // Before clouds that were left behind are searched [s]; and between two of them, times as long as one takes:
-    // odometry needs the processor.
-    constexpr double kQuiet = 1, kRest = 4;
+    // odometry needs the processor, but for a MAV that has sent nothing for so long [s].
+    constexpr double kQuiet = 1, kRest = 4, kRestLanded = 1, kLanded = 5;
     std::optional<double> patience;
+    ros::WallTime last_cloud = ros::WallTime::now();
     while (const auto work = inbox_.next(patience)) {
       const ros::WallTime start = ros::WallTime::now();
       try {
@@ -141,7 +142,10 @@ class HeightmapMclNode {
         earlier_.setVertical(work->vertical);
         if (work->ground) useGround(work->ground, work->ground_corrected);
         for (const AerialMessage& msg : work->passed_by) keepForLater(msg, work->own_unit);
-        if (work->aerial.cloud) useAerial(work->aerial, work->own_unit);
+        if (work->aerial.cloud) {
+          last_cloud = start;
+          useAerial(work->aerial, work->own_unit);
+        }
         if (work->corrections) earlier_.correct(*work->corrections);
         work->idle ? searchEarlier(*work) : publish(*work);
       } catch (const std::exception& e) {
@@ -149,7 +153,9 @@ class HeightmapMclNode {
       }
       patience.reset();
       if (localizer_.estimate().status != Status::kConverged && earlier_.pending())
-        patience = work->idle ? kRest * (ros::WallTime::now() - start).toSec() : kQuiet;
+        patience = work->idle ? ((start - last_cloud).toSec() > kLanded ? kRestLanded : kRest) *
+                                    (ros::WallTime::now() - start).toSec()
+                              : kQuiet;
     }
   }
 

@@ -73,6 +73,12 @@ struct BundleProblem {
     int camera_a = 0, camera_b = 0;
     Preintegration motion;
   };
+  /// How the IMU is turned against its mounting as given: its axes in the camera's are those of T_camera_imu exp(turn).
+  struct Mounting {
+    Eigen::Vector3d turn = Eigen::Vector3d::Zero();  ///< estimated [rad]
+    Eigen::Vector3d mean = Eigen::Vector3d::Zero();  ///< of it, before the links [rad]
+    double sigma = 0.01;                             ///< standard deviation of that, per axis [rad]
+  };
   std::vector<Camera> cameras;
   std::vector<Eigen::Vector3d> points;
   std::vector<unsigned char> point_fixed;  ///< empty = none
@@ -80,7 +86,8 @@ struct BundleProblem {
   std::vector<RelativePrior> priors;
   std::vector<InertialLink> links;
   Pose T_camera_imu = Pose::Identity();
-  bool metric = true;  ///< false: the map's unit is not known, links bind rotations and gyro biases only
+  std::optional<Mounting> mounting;  ///< set, and in a metric map: estimated, too
+  bool metric = true;                ///< false: the map's unit is not known, links bind rotations and gyro biases only
   /// Without a fixed camera: this one keeps its position and heading (roll, pitch and scale stay free, which links and
   /// gravity priors determine). -1: none.
   int anchor = -1;

@@ -14,9 +14,10 @@ Eigen::Map<RowMajor<Rows, Cols>> rowMajor(double* data) {
   return Eigen::Map<RowMajor<Rows, Cols>>(data);
 }
 
-/// Parameters: camera i, velocity i, bias i, camera j, velocity j. Residual: (rotation, velocity, position) of the
-/// preintegration in the first IMU frame, whitened.
-class InertialCost final : public ceres::SizedCostFunction<9, 6, 3, 6, 6, 3> {
+/// Parameters: camera i, velocity i, bias i, camera j, velocity j, mounting (rotation vector t: the IMU's axes in the
+/// camera's are R_camera_imu exp(t)). Residual: (rotation, velocity, position) of the preintegration in the first IMU
+/// frame, whitened.
+class InertialCost final : public ceres::SizedCostFunction<9, 6, 3, 6, 6, 3, 3> {
  public:
   InertialCost(const Eigen::Matrix3d& R_i_0, const Eigen::Matrix3d& R_j_0, const air_ground_common::Pose& T_camera_imu,
                const Preintegration& motion);
