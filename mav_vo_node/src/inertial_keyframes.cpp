@@ -90,7 +90,7 @@ void InertialKeyframes::mount(const Eigen::Vector3d& turn) {
 }
 
 void InertialKeyframes::turn(const Eigen::Matrix3d& R_new_old, const visual_frontend::Map& map) {
-  data_.T_camera_imu.linear() = R_camera_imu_;
+  mountAsGiven();
   for (auto& link : data_.links) link.second = link.second.turned(R_new_old);
   for (auto& [id, state] : data_.states) {
     const Eigen::Vector3d up =

@@ -50,6 +50,7 @@ class InertialKeyframes {
   visual_frontend::BundleProblem::Mounting openMounting() const;
   /// As such an adjustment, whose poses and states are in the map, has found it [rad].
   void mount(const Eigen::Vector3d& turn);
+  void mountAsGiven() { data_.T_camera_imu.linear() = R_camera_imu_; }
   /// From the IMU's axes to those that it was given to have, as adjustments have found them.
   Eigen::Matrix3d mounting() const { return R_camera_imu_.transpose() * data_.T_camera_imu.linear(); }
 

@@ -72,6 +72,8 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
 
 void Odometry::Impl::reset() {
   startMap();
+  inertial.mountAsGiven();
+  T_camera_imu = inertial.data().T_camera_imu;
   imu.reset();
   bias = {};
   calibration = givenCalibration();

@@ -246,7 +246,7 @@ TEST(Odometry, PosesCarryAnHonestCovariance) {
     sum += flight;
     count += frames;
   }
-  EXPECT_GT(sum / count, 0.3);
+  EXPECT_GT(sum / count, 0.2);
   EXPECT_LT(sum / count, 12);
 }
 
