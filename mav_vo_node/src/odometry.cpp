@@ -53,14 +53,13 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
                      const OdometrySettings& settings_)
     : given_camera(camera_),
       T_base_camera(T_base_camera_),
-      T_camera_imu(T_base_camera_.inverse() * T_base_imu),
       settings(settings_),
-      inertial(settings_, T_camera_imu),
+      inertial(settings_, T_base_camera_.inverse() * T_base_imu),
       adjuster(camera_, settings_),
-      scale(settings_, T_camera_imu),
+      scale(settings_, inertial.data().T_camera_imu),
       camera(camera_),
       calibration(givenCalibration()),
-      imu(settings_, T_camera_imu.linear(), sigma(), camera_.height),
+      imu(settings_, R_camera_imu(), sigma(), camera_.height),
       pose(camera_, settings_, map, tracks, [this](double a, double b) { return cameraTurn(a, b); }),
       bootstrap(camera_, startOf(settings_)),
       policy(settings_),
@@ -73,7 +72,6 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
 void Odometry::Impl::reset() {
   startMap();
   inertial.mountAsGiven();
-  T_camera_imu = inertial.data().T_camera_imu;
   imu.reset();
   bias = {};
   calibration = givenCalibration();
@@ -176,7 +174,7 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray) {
     gate.max_distance = settings.relocalization_slack +
                         std::max(settings.max_speed, 1.5 * pose.speed()) * (last_stamp - frames.lastStamp());
   if (const auto up = imu.attitude(last_stamp); up && metric() && settings.use_imu) {
-    gate.up_camera = T_camera_imu.linear() * up->up_imu;
+    gate.up_camera = R_camera_imu() * up->up_imu;
     gate.max_tilt = std::max(gate.max_tilt, 3 * up->sigma);
   }
   if (const auto turn = cameraTurn(frames.lastStamp(), last_stamp); turn && metric() && imu.problem().empty())
@@ -220,7 +218,7 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
       motion = imu.motion(pose.locatedStamp(), last_stamp, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
   }
   if (metric() && settings.use_imu)
-    imu.setUp((pose.pose().linear() * T_camera_imu.linear()).transpose() * Eigen::Vector3d::UnitZ());
+    imu.setUp((pose.pose().linear() * R_camera_imu()).transpose() * Eigen::Vector3d::UnitZ());
   pose.settle(last_stamp, T_map_previous);
   frames.add(last_stamp, pose.pose(), map.lastKeyframe(), map);
   frames.thin(kMaxFrames);

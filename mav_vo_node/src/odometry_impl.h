@@ -65,6 +65,8 @@ struct Odometry::Impl {
   void transformMap(const air_ground_common::Similarity& S_new_old);
   void retime();
   void turnImu(const Eigen::Matrix3d& R_new_old);
+  /// As the map's adjustments have found it.
+  Eigen::Matrix3d R_camera_imu() const { return inertial.data().T_camera_imu.linear(); }
   visual_frontend::BundleSettings bundleSettings() const;
   void adjustWholeMap();
   void adjustAnew();  ///< a map that is not metric, at once
@@ -77,7 +79,7 @@ struct Odometry::Impl {
 
   // ---- Fixed
   CameraModel given_camera;
-  Pose T_base_camera, T_camera_imu;
+  Pose T_base_camera;
   OdometrySettings settings;
 
   // ---- Map

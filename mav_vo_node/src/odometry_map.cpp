@@ -114,7 +114,7 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
   const double tilt = up ? up->sigma : kMovingTilt;
   Pose T_map_first(T_base_camera.linear());
   if (up)
-    T_map_first = levelRotation(start->views.back().T_first_camera.linear() * (T_camera_imu.linear() * up->up_imu),
+    T_map_first = levelRotation(start->views.back().T_first_camera.linear() * (R_camera_imu() * up->up_imu),
                                 Eigen::Matrix3d::Identity(), T_base_camera);
 
   for (const auto& point : start->points) tracks.assign(point.track, map.addLandmark(T_map_first * point.position));
@@ -152,7 +152,7 @@ void Odometry::Impl::level() {
   if (!up) return;
   adopt(adjuster.finish());
   air_ground_common::Similarity S;
-  S.R = levelRotation(frames.lastPose(map).linear() * (T_camera_imu.linear() * up->up_imu),
+  S.R = levelRotation(frames.lastPose(map).linear() * (R_camera_imu() * up->up_imu),
                       map.keyframes().begin()->second.T_map_camera.linear(), T_base_camera);
   transformMap(S);
   revision.restart();
@@ -189,7 +189,7 @@ void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
     for (const cv::Mat& level : pose.tracker().pyramid()) keyframe.pyramid.push_back(level.clone());
   visual_frontend::describeKeyframe(gray, camera, settings.place, keyframe);
   if (const auto& up = imu.up(); !metric() && up && up->sigma < kTrustedTilt) {
-    keyframe.up_camera = T_camera_imu.linear() * up->up_imu;
+    keyframe.up_camera = R_camera_imu() * up->up_imu;
     keyframe.up_sigma = std::max(0.02, up->sigma);
   }
   const KeyframeId id = insertKeyframe(std::move(keyframe));
@@ -281,7 +281,6 @@ void Odometry::Impl::turnImu(const Eigen::Matrix3d& R_new_old) {
   if (map.keyframeCount() == 0) return;
   adopt(adjuster.finish());
   inertial.turn(R_new_old, map);
-  T_camera_imu = inertial.data().T_camera_imu;
   scale.turn(R_new_old);
   if (!metric()) return adjustAnew();
   bias.accel = inertial.newestBias()->accel;
@@ -357,10 +356,7 @@ void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
   for (const BundleJob& job : jobs) {
     if (!job.result.usable || job.problem.metric != metric()) continue;
     applyBundle(job, map, &inertial.data());
-    if (job.problem.mounting) {
-      inertial.mount(job.problem.mounting->turn);
-      T_camera_imu = inertial.data().T_camera_imu;
-    }
+    if (job.problem.mounting) inertial.mount(job.problem.mounting->turn);
     revision.follow(map, pose.sceneDistance());
     if (job.problem.calibration) recalibrate(*job.problem.calibration);
     const ImuBias* newest = inertial.newestBias();

@@ -205,12 +205,15 @@ class Solver {
   void addMounting() {
     Eigen::Map<Eigen::Vector3d> turn(mounting());
     turn.setZero();
-    if (!problem_.mounting || !problem_.metric || problem_.links.empty()) return;
-    turn = problem_.mounting->turn;
+    if (!problem_.metric || problem_.links.empty()) return;
+    ceres_.AddParameterBlock(mounting(), 3);
+    ordering_->AddElementToGroup(mounting(), 1);
+    if (!problem_.mounting) return ceres_.SetParameterBlockConstant(mounting());
+    const BundleProblem::Mounting& open = *problem_.mounting;
+    turn = open.turn;
     ceres_.AddResidualBlock(
-        new ceres::NormalPrior(Eigen::MatrixXd(Eigen::Matrix3d::Identity() / problem_.mounting->sigma),
-                               problem_.mounting->mean),
-        nullptr, mounting());
+        new ceres::NormalPrior(Eigen::MatrixXd(Eigen::Matrix3d::Identity() / open.sigma), open.mean), nullptr,
+        mounting());
   }
 
   void writeBackCalibration() {
@@ -285,9 +288,6 @@ class Solver {
                               nullptr, a.bias.data(), b.bias.data());
       for (const int i : {link.camera_a, link.camera_b}) camera_used_[i] = state_used_[i] = 1;
     }
-    if (!problem_.metric || problem_.links.empty()) return;
-    ordering_->AddElementToGroup(mounting(), 1);
-    if (!problem_.mounting) ceres_.SetParameterBlockConstant(mounting());
   }
 
   void addCameras() {

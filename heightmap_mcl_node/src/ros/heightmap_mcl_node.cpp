@@ -152,10 +152,9 @@ class HeightmapMclNode {
         health_.count(std::string("maps not usable: ") + e.what());
       }
       patience.reset();
+      const double rest = (start - last_cloud).toSec() > kLanded ? kRestLanded : kRest;
       if (localizer_.estimate().status != Status::kConverged && earlier_.pending())
-        patience = work->idle ? ((start - last_cloud).toSec() > kLanded ? kRestLanded : kRest) *
-                                    (ros::WallTime::now() - start).toSec()
-                              : kQuiet;
+        patience = work->idle ? rest * (ros::WallTime::now() - start).toSec() : kQuiet;
     }
   }
 
