@@ -16,6 +16,7 @@ struct Options {
   double period = 0.05;  ///< from image to image [s]
   bool imu = true;
   ImuBias bias{{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}};
+  double accel_scale = 1;  ///< by which the accelerometer reads too much
   std::function<bool(double)> drop_image = [](double) { return false; };
   std::function<double(double)> gain = [](double) { return 1.0; };
   std::function<bool(double)> black = [](double) { return false; };
@@ -88,6 +89,7 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
   auto samples = options.flight.imuSamples(options.begin - 0.2, options.end + 0.1, 200, noise, options.bias, random);
   for (ImuSample& sample : samples) {
     sample.stamp += options.imu_shift + options.replay;
+    sample.specific_force *= options.accel_scale;
     sample = visual_frontend::turned(options.R_given_imu.transpose(), sample);
   }
   std::size_t next = 0;
