@@ -79,7 +79,7 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   hearKeptMaps();
 }
 
-bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped, bool corrected) {
+bool HeightMapLocalizer::keepGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
   std::vector<Eigen::Vector3f> turned;
   HeightMap map = buildHeightMap(levelGround(points, &turned), settings_.ground_map, cropped);
   if (map.empty()) {
@@ -91,6 +91,11 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
                                                        : std::clamp(ground_->variance() / kUsualVariance, 0.02, 1.0));
   verify_volume_.reset();
   if (hasAerial()) updateLevel();
+  return true;
+}
+
+bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped, bool corrected) {
+  if (!keepGround(points, cropped)) return false;
   if (!corrected && stillStands()) return true;
   if (estimate_.status != Status::kConverged) {
     if (corrected) evidence_->clear();
@@ -102,10 +107,21 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   return true;
 }
 
-bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
+bool HeightMapLocalizer::keep(const AerialCloud& cloud, std::size_t* cropped) {
   if (cropped) *cropped = 0;
   if (!cloud.reference.allFinite() || !kept_->add(cloud.points, cloud.reference, cropped)) return false;
   dropFarMaps();
+  return true;
+}
+
+bool HeightMapLocalizer::keepAerial(const AerialCloud& cloud, std::size_t* cropped) {
+  if (!keep(cloud, cropped)) return false;
+  ++maps_;
+  return true;
+}
+
+bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
+  if (!keep(cloud, cropped)) return false;
   if (hasGround()) {
     updateLevel();
     updateScale();

@@ -339,6 +339,34 @@ TEST(HeightMapLocalizer, ASingleBoxIsNot) {
   }
 }
 
+TEST(HeightMapLocalizer, CloudsThatWaitedAreSearchedTogether) {
+  synthetic::Options options;
+  options.seed = 505;
+  options.aerial_clouds = 10;
+  const auto run = synthetic::makeRun(options);
+  HeightMapLocalizer each({}), together({});
+  each.setGround(run.ground);
+  together.setGround(run.ground);
+  std::size_t k = 0;
+  for (; k < run.aerial.size() && together.estimate().status != Status::kConverged; ++k) {
+    each.addAerial(run.aerial[k]);
+    together.addAerial(run.aerial[k]);
+  }
+  ASSERT_LT(k + 2, run.aerial.size());
+  EXPECT_TRUE(together.keepGround(run.ground));
+  for (; k < run.aerial.size(); ++k) {
+    each.addAerial(run.aerial[k]);
+    k + 1 < run.aerial.size() ? together.keepAerial(run.aerial[k]) : together.addAerial(run.aerial[k]);
+  }
+  const auto &a = each.estimate(), &b = together.estimate();
+  EXPECT_EQ(b.status, Status::kConverged) << b.reason;
+  EXPECT_EQ(b.maps, a.maps);
+  const auto error = synthetic::errorOf(b.T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
+  EXPECT_LT(error.position, 0.15);
+  EXPECT_LT(error.yaw, 0.05);
+  EXPECT_LT((b.T_ground_mav.translation() - a.T_ground_mav.translation()).norm(), 0.05);
+}
+
 TEST(HeightMapLocalizer, BadCloudsChangeNothing) {
   HeightMapLocalizer localizer({});
   const float nan = std::nanf("");

@@ -137,6 +137,27 @@ TEST_F(NodeTest, ACloudThatOvertakesItsOdometryWaitsForIt) {
   EXPECT_GE(waited, in_time - 1);  // the node may sleep once as well
 }
 
+TEST_F(NodeTest, CloudsThatWaitAreSearchedTogetherOnceItIsConverged) {
+  const auto run = world(601, 8);
+  ASSERT_TRUE(sendGround(run));
+  for (int k = 0; k < 8; ++k) ASSERT_TRUE(sendAerial(run.aerial[k]));
+  ASSERT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+  const std::uint32_t maps = last().iterations;
+  coarse_.messages.clear();
+  // Faster than one search each.
+  constexpr int kClouds = 8;
+  for (int k = 0; k < kClouds; ++k) {
+    stamp_ += ros::Duration(0.5);
+    sendOdometry(run.aerial[k].reference, stamp_ - ros::Duration(0.05));
+    sendOdometry(run.aerial[k].reference, stamp_ + ros::Duration(0.05));
+    cloud_.publish(cloudMsg(run.aerial[k].points, "mav_map", stamp_));
+  }
+  ASSERT_TRUE(spinUntil([&] { return !coarse_.messages.empty() && last().header.stamp == stamp_; }));
+  EXPECT_EQ(last().iterations, maps + kClouds) << "none is lost";
+  EXPECT_LT(coarse_.messages.size(), static_cast<std::size_t>(kClouds));
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+}
+
 TEST_F(NodeTest, TheSameCloudTwiceIsNoMoreEvidence) {
   const auto run = world(604, 3);
   ASSERT_TRUE(sendGround(run));

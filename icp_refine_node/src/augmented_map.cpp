@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <unordered_set>
+#include <utility>
 
 namespace icp_refine {
 
@@ -16,21 +17,23 @@ void add(const std::vector<LabeledPoint>& points, AerialVoxels* voxels) {
 
 void AerialVoxels::add(const Eigen::Vector3f& point, float intensity) {
   if (!point.allFinite() || point.cwiseAbs().maxCoeff() > 1e4f || !std::isfinite(intensity)) return;
-  Voxel& v = voxels_[cellKey(point, leaf_)];
-  if (v.count == 0) v.order = next_order_++;
+  Voxel& v = voxelOf(point);
   v.sum += point;
   v.intensity += intensity;
   ++v.count;
   while (voxels_.size() > max_voxels_ && leaf_ < 1e3f) coarsen();
 }
 
+AerialVoxels::Voxel& AerialVoxels::voxelOf(const Eigen::Vector3f& point) {
+  const auto [cell, fresh] = of_cell_.try_emplace(cellKey(point, leaf_), voxels_.size());
+  return fresh ? voxels_.emplace_back() : voxels_[cell->second];
+}
+
 void AerialVoxels::coarsen() {
   leaf_ *= 2;
-  std::unordered_map<std::uint64_t, Voxel> fine;
-  fine.swap(voxels_);
-  for (const auto& [key, v] : fine) {
-    Voxel& merged = voxels_[cellKey(v.sum / static_cast<float>(v.count), leaf_)];
-    merged.order = merged.count == 0 ? v.order : std::min(merged.order, v.order);
+  of_cell_.clear();
+  for (const Voxel& v : std::exchange(voxels_, {})) {
+    Voxel& merged = voxelOf(v.sum / static_cast<float>(v.count));
     merged.sum += v.sum;
     merged.intensity += v.intensity;
     merged.count += v.count;
@@ -38,17 +41,12 @@ void AerialVoxels::coarsen() {
 }
 
 std::vector<AerialVoxels::Point> AerialVoxels::points(int min_points) const {
-  std::vector<const Voxel*> kept;
-  kept.reserve(voxels_.size());
-  for (const auto& [key, v] : voxels_) {
-    if (v.count >= min_points) kept.push_back(&v);
-  }
-  std::sort(kept.begin(), kept.end(), [](const Voxel* a, const Voxel* b) { return a->order < b->order; });
   std::vector<Point> out;
-  out.reserve(kept.size());
-  for (const Voxel* v : kept) {
-    const float n = static_cast<float>(v->count);
-    out.push_back({v->sum / n, static_cast<std::uint8_t>(std::clamp(v->intensity / n, 0.f, 255.f)), v->count});
+  out.reserve(voxels_.size());
+  for (const Voxel& v : voxels_) {
+    if (v.count < min_points) continue;
+    const float n = static_cast<float>(v.count);
+    out.push_back({v.sum / n, static_cast<std::uint8_t>(std::clamp(v.intensity / n, 0.f, 255.f)), v.count});
   }
   return out;
 }

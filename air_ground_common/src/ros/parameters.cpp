@@ -14,14 +14,18 @@ ServerReader::ServerReader(const ros::NodeHandle& private_handle) : handle_(priv
 
 void ServerReader::visit(const Parameter& p, ParameterField field) {
   known_.insert(p.name);
-  const std::string full = handle_.resolveName(p.name);
+  const std::string full = handle_.resolveName(p.name), preset = toString(field);
   if (handle_.hasParam(p.name) && !std::visit([&](auto* value) { return handle_.getParam(p.name, *value); }, field)) {
     XmlRpc::XmlRpcValue raw;
     handle_.getParam(p.name, raw);
     throw ParameterError("parameter " + full + " = " + raw.toXml() + " has the wrong type; expected something like " +
-                         toString(field));
+                         preset);
   }
-  ROS_INFO_STREAM("parameter " << full << ": " << toString(field));
+  const std::string value = toString(field);
+  if (value == preset)
+    ROS_DEBUG_STREAM("parameter " << full << ": " << value);
+  else
+    ROS_INFO_STREAM("parameter " << full << ": " << value << " in place of " << preset);
 }
 
 void ServerReader::finish() const {

@@ -45,6 +45,10 @@ class HeightMapLocalizer {
   /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent
   /// are dropped. Returns false, changing nothing, when the cloud defines no cell or the reference is not finite.
   bool addAerial(const AerialCloud& cloud, std::size_t* cropped = nullptr);
+  /// As setGround and addAerial, but leave the search to the aerial cloud that comes next: what is CONVERGED needs none
+  /// for each.
+  bool keepGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
+  bool keepAerial(const AerialCloud& cloud, std::size_t* cropped = nullptr);
 
   /// The verdict for the present maps; `has_pose` false while one of them is missing.
   const CoarseEstimate& estimate() const { return estimate_; }
@@ -88,6 +92,7 @@ class HeightMapLocalizer {
   /// Where nothing has been heard for a place that now speaks for itself (the ground map came, grew or moved after the
   /// MAV's last cloud), or only what makes it a guess: takes the kept maps once more, one by one, as if they came now.
   void hearKeptMaps();
+  bool keep(const AerialCloud& cloud, std::size_t* cropped);
   void useNewestMap();
   void dropFarMaps();
   /// Turns the ground map's floor level, if it is flat. The points, or what takes their place in `turned`.

@@ -131,7 +131,8 @@ class HeightmapMclNode {
     constexpr double kQuiet = 1, kRest = 4, kRestLanded = 1, kLanded = 5;
     std::optional<double> patience;
     ros::WallTime last_cloud = ros::WallTime::now();
-    while (const auto work = inbox_.next(patience)) {
+    const auto converged = [this] { return localizer_.estimate().status == Status::kConverged; };
+    while (const auto work = inbox_.next(patience, converged())) {
       const ros::WallTime start = ros::WallTime::now();
       try {
         applyCommand(work->command);
@@ -140,11 +141,13 @@ class HeightmapMclNode {
         earlier_.setOwnUnit(work->own_unit);
         localizer_.setVertical(work->vertical);
         earlier_.setVertical(work->vertical);
-        if (work->ground) useGround(work->ground, work->ground_corrected);
+        const bool searched_with_cloud = work->aerial.cloud && !work->ground_corrected && converged();
+        if (work->ground) useGround(work->ground, work->ground_corrected, searched_with_cloud);
         for (const AerialMessage& msg : work->passed_by) keepForLater(msg, work->own_unit);
+        for (const AerialMessage& msg : work->before) useAerial(msg, work->own_unit, false);
         if (work->aerial.cloud) {
           last_cloud = start;
-          useAerial(work->aerial, work->own_unit);
+          useAerial(work->aerial, work->own_unit, true);
         }
         if (work->corrections) earlier_.correct(*work->corrections);
         work->idle ? searchEarlier(*work) : publish(*work);
@@ -153,7 +156,7 @@ class HeightmapMclNode {
       }
       patience.reset();
       const double rest = (start - last_cloud).toSec() > kLanded ? kRestLanded : kRest;
-      if (localizer_.estimate().status != Status::kConverged && earlier_.pending())
+      if (!converged() && earlier_.pending())
         patience = work->idle ? rest * (ros::WallTime::now() - start).toSec() : kQuiet;
     }
   }
@@ -191,12 +194,14 @@ class HeightmapMclNode {
     heading_known_ = true;
   }
 
-  void useGround(const Cloud& msg, bool corrected) {
+  void useGround(const Cloud& msg, bool corrected, bool searched_with_cloud) {
     const ros::WallTime start = ros::WallTime::now();
     auto points = groundPositions(*msg, settings_.localizer.ground_map.resolution, health_);
     if (!points) return;
     std::size_t cropped = 0;
-    if (!localizer_.setGround(*points, &cropped, corrected)) health_.count("ground clouds that define no cell");
+    const bool usable = searched_with_cloud ? localizer_.keepGround(*points, &cropped)
+                                            : localizer_.setGround(*points, &cropped, corrected);
+    if (!usable) health_.count("ground clouds that define no cell");
     health_.value("ground points beyond ground/max_extent", static_cast<double>(cropped));
     const HeightMap& map = localizer_.groundMap();
     const Eigen::Vector2d low(map.origin_x, map.origin_y), size(map.width, map.height);
@@ -234,7 +239,7 @@ class HeightmapMclNode {
     if (cloud) earlier_.add(static_cast<std::int64_t>(msg.cloud->header.stamp.toNSec()), std::move(*cloud), false);
   }
 
-  void useAerial(const AerialMessage& msg, bool own_unit) {
+  void useAerial(const AerialMessage& msg, bool own_unit, bool search) {
     const ros::WallTime start = ros::WallTime::now();
     auto usable = aerialCloud(msg, own_unit);
     if (!usable) return;
@@ -243,7 +248,7 @@ class HeightmapMclNode {
     reference_ = cloud.reference;
     std::size_t cropped = 0;
     const std::size_t far = localizer_.farMapsDropped();
-    const bool added = localizer_.addAerial(cloud, &cropped);
+    const bool added = search ? localizer_.addAerial(cloud, &cropped) : localizer_.keepAerial(cloud, &cropped);
     // At a scale that is not known yet the size says nothing.
     const CoarseEstimate& e = localizer_.estimate();
     if (own_unit && e.status != Status::kConverged) cropped = 0;

@@ -185,7 +185,7 @@ void Inbox::endSearch() {
   wake_.notify_one();
 }
 
-std::optional<Work> Inbox::next(const std::optional<double>& patience) {
+std::optional<Work> Inbox::next(const std::optional<double>& patience, bool together) {
   std::optional<Clock::time_point> idle_at;
   if (patience)
     idle_at = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(*patience));
@@ -204,7 +204,12 @@ std::optional<Work> Inbox::next(const std::optional<double>& patience) {
     if (work.ground) work.ground_corrected = std::exchange(ground_corrected_, false);
     for (const Cloud& cloud : std::exchange(passed_by_, {}))
       work.passed_by.push_back({cloud, referenceAt(cloud->header.stamp.toSec())});
-    if (cloudReady()) popCloud(work);
+    while (cloudReady() && (together || !work.aerial.cloud)) {
+      AerialMessage next = popCloud();
+      if (!next.cloud) continue;
+      if (work.aerial.cloud) work.before.push_back(std::move(work.aerial));
+      work.aerial = std::move(next);
+    }
     if (!work.aerial.cloud && !work.ground && work.passed_by.empty() && !work.command.any() && !work.idle) continue;
     work.corrections = std::exchange(corrections_, std::nullopt);
     work.map_id = mav_.map().id().value_or(0);
@@ -217,21 +222,21 @@ std::optional<Work> Inbox::next(const std::optional<double>& patience) {
   }
 }
 
-void Inbox::popCloud(Work& work) {
-  work.aerial.cloud = clouds_.front().cloud;
+/// None where its odometry has long gone on.
+AerialMessage Inbox::popCloud() {
+  const Cloud cloud = clouds_.front().cloud;
   clouds_.pop_front();
   if (mav_.map().ownUnit()) {
     // What came before its first cloud is metric: of another map.
     odometry_.clear();
-    return;
+    return {cloud, std::nullopt};
   }
-  const double stamp = work.aerial.cloud->header.stamp.toSec();
+  const double stamp = cloud->header.stamp.toSec();
   if (!odometry_.empty() && stamp > odometry_.back().stamp + 5) {
     health_.count("aerial clouds later than the odometry by more than 5 s dropped");
-    work.aerial.cloud.reset();
-  } else {
-    work.aerial.reference = referenceAt(stamp);
+    return {};
   }
+  return {cloud, referenceAt(stamp)};
 }
 
 std::optional<air_ground_common::StampedPose> Inbox::referenceAt(double stamp) const {

@@ -48,6 +48,7 @@ struct Work {
   sensor_msgs::PointCloud2ConstPtr ground;  // null: none
   bool ground_corrected = false;            // as a whole, since the ground cloud before
   AerialMessage aerial;
+  std::vector<AerialMessage> before;     // older ones that have waited with it
   std::vector<AerialMessage> passed_by;  // older ones that came faster than they were searched
   bool own_unit = false;                 // the aerial clouds are of a map without scale
   air_ground_common::Vertical vertical;  // of that map
@@ -76,8 +77,9 @@ class Inbox {
   void reset();
   void relocalize();
 
-  /// Waits for something to do, not longer than `patience` [s] where that is given; empty after stop().
-  std::optional<Work> next(const std::optional<double>& patience);
+  /// Waits for something to do, not longer than `patience` [s] where that is given; empty after stop(). `together`: all
+  /// clouds that wait, else the oldest alone.
+  std::optional<Work> next(const std::optional<double>& patience, bool together);
   void stop();
 
   /// Keeps the alignment for tf, or none. False, and none, when it is about a map that has ended meanwhile.
@@ -103,7 +105,7 @@ class Inbox {
   void endSearch();
   bool pending() const;
   bool cloudReady() const;
-  void popCloud(Work& work);
+  AerialMessage popCloud();
   std::optional<air_ground_common::StampedPose> referenceAt(double stamp) const;
 
   const NodeSettings settings_;

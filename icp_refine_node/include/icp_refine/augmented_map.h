@@ -29,6 +29,7 @@ class AerialVoxels {
   void add(const Eigen::Vector3f& point, float intensity);
   void clear() {
     voxels_.clear();
+    of_cell_.clear();
     leaf_ = first_leaf_;
   }
   float leaf() const { return leaf_; }  ///< present edge of a voxel [m]
@@ -39,7 +40,7 @@ class AerialVoxels {
     std::uint8_t grey;
     int count;  ///< points merged
   };
-  /// Voxels with at least min_points, in an order that depends on the input alone.
+  /// Voxels with at least min_points, in the order of their first points.
   std::vector<Point> points(int min_points = 1) const;
 
  private:
@@ -47,14 +48,14 @@ class AerialVoxels {
     Eigen::Vector3f sum = Eigen::Vector3f::Zero();
     float intensity = 0;
     int count = 0;
-    std::size_t order = 0;
   };
+  Voxel& voxelOf(const Eigen::Vector3f& point);
   void coarsen();
 
   float first_leaf_, leaf_;
   std::size_t max_voxels_;
-  std::size_t next_order_ = 0;
-  std::unordered_map<std::uint64_t, Voxel> voxels_;
+  std::vector<Voxel> voxels_;
+  std::unordered_map<std::uint64_t, std::size_t> of_cell_;  // index into voxels_
 };
 
 /// Mask of the points of `aerial` (already in the ground map's frame) in whose cell of `leaf` [m], or a neighbouring
