@@ -335,6 +335,22 @@ class ImportKalibr(unittest.TestCase):
             self.assertIn(word, words)
         self.assertFalse([word for word in words if word.startswith(('mav_base_frame', 'mav_use_imu', 'ground_imu:=/'))], words)
 
+    def test_gravity_tells_which_way_the_camera_looks(self):
+        """The IMU's axes are the camera's: x right, y down, z ahead."""
+        self.write('camchain.yaml', yaml.safe_dump({'cam0': {**CHAIN['cam0'], 'T_cam_imu': np.eye(4).tolist()}}))
+        for below, looks, ahead in ((25, 'forward', [1, 0, 0]), (60, 'down', [0, 0, -1])):
+            up = [0, -np.cos(np.radians(below)), -np.sin(np.radians(below))]
+            with rosbag.Bag(self.path('x.bag'), 'w') as bag:
+                bag.write('/cam0/image_raw', messages.image(np.zeros((480, 752)), 'mono8', 5, 'eye'), messages.stamp(5))
+                bag.write('/imu0', messages.imu([0, 0, 0], [9.81 * x for x in up], 1, 1, 5, 'imu'), messages.stamp(5))
+            result = self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag'))
+            self.assertIn(f'looks {looks} ({below} degrees below', result.stdout, result.stderr)
+            with open(self.path('out', 'sensors.launch'), encoding='utf-8') as stream:
+                numbers = [float(x) for x in stream.read().split('mav_base_link eye ')[1].split('"')[0].split()]
+            np.testing.assert_allclose(geometry.pose_from_tq(numbers[:3], numbers[3:])[:3, 2], ahead, atol=1e-6)
+        self.assertIn('looks down\n', self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag'), '--mount', 'down').stdout)
+        self.assertIn('taken to look down; --mount forward', self.run_import(self.path('imu.yaml')).stdout)
+
     def test_what_the_ground_robot_needs_beside_the_replay_is_printed_too(self):
         """The mounting that nothing tells, once, as check_bag prints it: without it the ground robot has no pose."""
         with rosbag.Bag(self.path('x.bag'), 'w') as bag:
