@@ -196,8 +196,9 @@ float squaredDifference(std::uint8_t reference, int x, float rho, const RowOfFra
   const float i = static_cast<float>(x), w = frame.base[2] + i * frame.step[2] + rho * frame.shift[2];
   const float u = (frame.base[0] + i * frame.step[0] + rho * frame.shift[0]) / w;
   const float v = (frame.base[1] + i * frame.step[1] + rho * frame.shift[1]) / w;
-  const float iu = std::floor(u), iv = std::floor(v), fu = u - iu, fv = v - iv;
-  const std::uint32_t p = packed[static_cast<std::ptrdiff_t>(iv) * stride + static_cast<std::ptrdiff_t>(iu)];
+  const int iu = static_cast<int>(u), iv = static_cast<int>(v);  // positive: towards zero is down
+  const float fu = u - static_cast<float>(iu), fv = v - static_cast<float>(iv);
+  const std::uint32_t p = packed[static_cast<std::ptrdiff_t>(iv) * stride + iu];
   const auto grey = [p](int k) { return static_cast<float>(p >> (8 * k) & 255); };
   const float sample = (1 - fv) * ((1 - fu) * grey(0) + fu * grey(1)) + fv * ((1 - fu) * grey(2) + fu * grey(3));
   const float difference =

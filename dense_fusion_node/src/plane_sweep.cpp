@@ -95,9 +95,9 @@ bool PlaneSweep::add(const Frame& frame) {
   // A point at inverse depth rho on the reference pixel x = (u, v, 1): K (R K^-1 x + rho t), up to scale.
   const Eigen::Isometry3d T_frame_reference = frame.T_map_camera.inverse() * reference_.T_map_camera;
   const Eigen::Matrix3d K = camera_.K();
-  View view{K * T_frame_reference.linear() * K.inverse(), K * T_frame_reference.translation(), {}, {}, {}, {}};
-  const Eigen::Matrix3d& H = view.H;
-  const Eigen::Vector3d& b = view.b;
+  const Eigen::Matrix3d H = K * T_frame_reference.linear() * K.inverse();
+  const Eigen::Vector3d b = K * T_frame_reference.translation();
+  View view;
   const double rho[2] = {inverse_depth_.front(), inverse_depth_.back()};
 
   if (!H.allFinite() || !b.allFinite()) return false;
@@ -109,7 +109,8 @@ bool PlaneSweep::add(const Frame& frame) {
     view.x0.push_back(begin <= end ? static_cast<int>(std::ceil(begin)) : 0);
     view.x1.push_back(begin <= end ? static_cast<int>(std::floor(end)) + 1 : 0);
     any = any || view.x1.back() > view.x0.back();
-    view.between.push_back(kernels::hypothesesBetween(view.x0.back(), view.x1.back(), rowOfFrame(view.H, view.b, y),
+    view.rows.push_back(rowOfFrame(H, b, y));
+    view.between.push_back(kernels::hypothesesBetween(view.x0.back(), view.x1.back(), view.rows.back(),
                                                       inverse_depth_.data(), settings_.hypotheses));
   }
   if (!any) return false;
@@ -132,9 +133,8 @@ void PlaneSweep::sumCosts(int y, const Strip& strip, CostRow* row) const {
   for (const View& view : views_) {
     const int x0 = std::max(view.x0[y], at_zero), x1 = std::min(view.x1[y], strip.end + settings_.aggregation_radius);
     if (x1 <= x0) continue;
-    kernels::addRow(reference_.normalized.ptr<std::uint8_t>(y), x0, x1, rowOfFrame(view.H, view.b, y),
-                    inverse_depth_.data(), D, view.between[y], view.packed.data(), width,
-                    row->cost.data() + (x0 - at_zero), strip.stride);
+    kernels::addRow(reference_.normalized.ptr<std::uint8_t>(y), x0, x1, view.rows[y], inverse_depth_.data(), D,
+                    view.between[y], view.packed.data(), width, row->cost.data() + (x0 - at_zero), strip.stride);
     for (int x = x0; x < x1; ++x) ++row->samples[x - at_zero];
   }
 }
@@ -229,22 +229,23 @@ void PlaneSweep::chooseSurfaces(const cv::Mat& cost, DepthMap* map) const {
       const int other = others.at<int>(y, x);
       if (other < 0) continue;
       const float z = depth.ptr<float>()[other];
-      if (!(costAround(x, y, 1 / z) < costAround(x, y, 1 / depth.at<float>(y, x)))) continue;
+      const double own = costAround(x, y, 1 / depth.at<float>(y, x), std::numeric_limits<double>::infinity());
+      if (!(costAround(x, y, 1 / z, own) < own)) continue;
       map->depth.at<float>(y, x) = z;
       map->confidence.at<float>(y, x) = confidence.ptr<float>()[other];
     }
 }
 
-double PlaneSweep::costAround(int x, int y, float rho) const {
+double PlaneSweep::costAround(int x, int y, float rho, double enough) const {
   constexpr int kRadius = 1;
   double sum = 0;
   for (int v = std::max(0, y - kRadius); v <= std::min(camera_.height - 1, y + kRadius); ++v)
     for (const View& view : views_) {
-      const kernels::RowOfFrame row = rowOfFrame(view.H, view.b, v);
       const int first = std::max(view.x0[v], x - kRadius), last = std::min(view.x1[v] - 1, x + kRadius);
+      const std::uint8_t* reference = reference_.normalized.ptr<std::uint8_t>(v);
       for (int u = first; u <= last; ++u)
-        sum += kernels::squaredDifference(reference_.normalized.at<std::uint8_t>(v, u), u, rho, row, view.packed.data(),
-                                          camera_.width);
+        sum += kernels::squaredDifference(reference[u], u, rho, view.rows[v], view.packed.data(), camera_.width);
+      if (sum >= enough) return sum;
     }
   return sum;
 }

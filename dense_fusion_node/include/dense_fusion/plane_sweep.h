@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "dense_fusion/cost_kernels.h"
 #include "dense_fusion/depth_map.h"
 #include "dense_fusion/rectifier.h"
 
@@ -53,10 +54,9 @@ class PlaneSweep {
   DepthMap depthMap(bool few = false) const;
 
  private:
-  /// A frame as the reference's pixels see it: x at inverse depth rho lies at H x + rho b.
+  /// A frame as the reference's pixels see it.
   struct View {
-    Eigen::Matrix3d H;
-    Eigen::Vector3d b;
+    std::vector<kernels::RowOfFrame> rows;
     std::vector<int> x0, x1;            ///< of each row: pixels that it sees at all depths
     std::vector<int> between;           ///< of each row: kernels::hypothesesBetween
     std::vector<std::uint32_t> packed;  ///< kernels::packNeighborhoods
@@ -90,8 +90,8 @@ class PlaneSweep {
                    DepthMap* map, cv::Mat* cost) const;
   /// `cost`: of the windows around the pixels, a sample.
   void chooseSurfaces(const cv::Mat& cost, DepthMap* map) const;
-  /// Of the 3x3 pixels around one, at one depth.
-  double costAround(int x, int y, float rho) const;
+  /// Of the 3x3 pixels around one, at one depth; may end early where it is `enough` or more.
+  double costAround(int x, int y, float rho, double enough) const;
 
   air_ground_common::CameraModel camera_;
   PlaneSweepSettings settings_;
