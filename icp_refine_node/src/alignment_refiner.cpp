@@ -4,6 +4,7 @@
 #include <limits>
 #include <utility>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/text.h"
 #include "icp_refine/ceilings.h"
 
@@ -18,6 +19,10 @@ void withhold(RefineStatus status, const std::string& reason, RefineOutcome* out
   out->reason = reason;
   out->covariance = 1e6 * Matrix6d::Identity();
   out->scale_stddev = 0;
+}
+
+double positionStddev(const Matrix6d& covariance) {
+  return air_ground_common::largestStddev(covariance.topLeftCorner<3, 3>());
 }
 
 }  // namespace
@@ -53,7 +58,7 @@ void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& 
     const Similarity& S = it != corrections.end() && it->second ? *it->second : newest;
     *T_ground_map_mav_map = compose(*T_ground_map_mav_map, inverse(S));
   };
-  if (tracked_) follow(tracked_stamp_, &*tracked_);
+  if (tracked_) follow(tracked_stamp_, &tracked_->T_ground_map_mav_map);
   if (UnconfirmedPose* first = unconfirmed_.first()) follow(first->stamp, &first->T_ground_map_mav_map);
   if (coarse_known_) follow(coarse_stamp_, &coarse_known_->T_ground_map_mav_map);
 }
@@ -175,19 +180,22 @@ Cloud AlignmentRefiner::prepareReading() {
 // A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
 void AlignmentRefiner::countDisagreement(const Eigen::Vector3d& centre) {
   if (!tracked_ || !coarse_ || !coarse_sure_) return;
-  const double distance = (*tracked_ * centre - *coarse_ * centre).head<2>().norm();
-  const double angle = std::abs(
-      air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->R) - air_ground_common::yawOf(coarse_->R)));
+  const Similarity& T = tracked_->T_ground_map_mav_map;
+  const double distance = (T * centre - *coarse_ * centre).head<2>().norm();
+  const double angle =
+      std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(T.R) - air_ground_common::yawOf(coarse_->R)));
   const bool disagrees = distance > settings_.coarse_distance || angle > settings_.coarse_angle;
   disagreements_ = disagrees ? disagreements_ + 1 : 0;
 }
 
 RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
-  RefineOutcome out = attempt(reading, *tracked_);
+  const Similarity& T_tracked = tracked_->T_ground_map_mav_map;
+  RefineOutcome out = attempt(reading, T_tracked);
+  if (tellsLess(out)) keepTracked(reading, &out);
   // A loop closure moves the ground map by more than ICP reaches from the last pose.
   const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
   if (moved_grounds_ > 0 && out.status != RefineStatus::kConverged && !too_little) {
-    RefineOutcome other = attemptFromGuess(reading, *tracked_, true);
+    RefineOutcome other = attemptFromGuess(reading, T_tracked, true);
     if (other.status == RefineStatus::kConverged) out = other;
   }
   out.tracking = true;
@@ -212,14 +220,41 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
   return out;
 }
 
+// Where little of the geometry is in view, the pose is better known from before.
+bool AlignmentRefiner::tellsLess(const RefineOutcome& out) const {
+  constexpr double kLess = 2;
+  if (out.status != RefineStatus::kConverged || groundHasMoved() || unproven_) return false;
+  const Matrix6d known = covarianceAbout(*tracked_, out.reference_point);
+  return positionStddev(out.covariance) > kLess * positionStddev(known) &&
+         squaredSigmas(*tracked_, out.icp) < settings_.known_squared_sigmas;
+}
+
+// Unless the heights of the newest clouds contradict it.
+void AlignmentRefiner::keepTracked(const Cloud& reading, RefineOutcome* out) const {
+  const HeightCheck heights = heights_->check(transformed(reading, tracked_->T_ground_map_mav_map), ground_camera_);
+  if (heights.conclusive && heights.agreement() < settings_.min_agreement) return;
+  const double alone = positionStddev(out->covariance);
+  out->kept = true;
+  out->heights = heights;
+  out->overlap = heights.overlap();
+  out->T_ground_map_mav_map = tracked_->T_ground_map_mav_map;
+  out->covariance = covarianceAbout(*tracked_, out->reference_point);
+  out->scale_stddev = tracked_->scale_stddev * tracked_->T_ground_map_mav_map.scale;
+  out->reason = formatted(
+      "the last refined pose, known to %.3f m there, is kept: this cloud agrees, and alone tells it to %.3f m",
+      positionStddev(out->covariance), alone);
+}
+
 // What the attempt says of the tracked pose.
 void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
   if (out->status == RefineStatus::kConverged) {
-    tracked_ = out->T_ground_map_mav_map;
-    tracked_stamp_ = out->stamp;
-    unproven_ = false;
-    rests_on_views_ = out->seen && !(out->icp.localizability.complete() && out->heights.conclusive);
     rejections_ = 0;
+    unproven_ = false;
+    if (out->kept) return;
+    tracked_ = KnownAlignment{out->T_ground_map_mav_map, out->covariance, out->reference_point,
+                              out->scale_stddev / out->T_ground_map_mav_map.scale};
+    tracked_stamp_ = out->stamp;
+    rests_on_views_ = out->seen && !(out->icp.localizability.complete() && out->heights.conclusive);
   } else if (from_tracking && out->contradicted && imagesHold(*out)) {
     rejections_ = 0;
     out->reason += "; the last refined pose is kept, since the images agree: things have moved";
@@ -241,9 +276,8 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
 bool AlignmentRefiner::leaps(const RefineOutcome& out, const Eigen::Vector3d& centre) const {
   constexpr double kFar = 0.15, kTurned = 0.06;  // [m], [rad]; right ones move by a third of it
   if (out.status != RefineStatus::kConverged || out.instead || groundHasMoved()) return false;
-  const Similarity& T = out.T_ground_map_mav_map;
-  return (*tracked_ * centre - T * centre).norm() > kFar ||
-         air_ground_common::rotationAngle(tracked_->R, T.R) > kTurned;
+  const Similarity &before = tracked_->T_ground_map_mav_map, &T = out.T_ground_map_mav_map;
+  return (before * centre - T * centre).norm() > kFar || air_ground_common::rotationAngle(before.R, T.R) > kTurned;
 }
 
 void AlignmentRefiner::demandConfirmation(const char* what, const Eigen::Vector3d& centre, RefineOutcome* out) {

@@ -72,6 +72,8 @@ struct RefineOutcome {
   double view_sigmas = 0;     ///< how far it differs from that
   bool instead = false;       ///< of the tracked pose, which the coarse alignment contradicted
   bool held = false;          ///< directions that the geometry does not fix are known from the coarse alignment
+  bool kept =
+      false;  ///< the pose is the last refined one, with which the newest clouds agree and which they tell less of
   HeightCheck heights;
   IcpResult icp;
 };
@@ -148,7 +150,9 @@ class AlignmentRefiner {
   /// The ground map was corrected, and no refinement has converged since.
   bool unproven() const { return tracked_ && unproven_; }
   /// Last believed pose.
-  std::optional<Similarity> refined() const { return tracked_; }
+  std::optional<Similarity> refined() const {
+    return tracked_ ? std::make_optional(tracked_->T_ground_map_mav_map) : std::nullopt;
+  }
 
  private:
   void forgetPoses();
@@ -161,6 +165,9 @@ class AlignmentRefiner {
   void compareWithCoarse(RefineOutcome& out) const;
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading);
+  /// The outcome agrees with the tracked pose, which is known much better.
+  bool tellsLess(const RefineOutcome& out) const;
+  void keepTracked(const Cloud& reading, RefineOutcome* out) const;
   void follow(bool from_tracking, RefineOutcome* out);
   /// Heights that contradict the tracked pose do not end it.
   bool imagesHold(const RefineOutcome& out) const;
@@ -191,7 +198,7 @@ class AlignmentRefiner {
   std::int64_t coarse_stamp_ = 0;  ///< of the newest cloud when that came [ns]
   Confirmation unconfirmed_;       ///< refined from a guess, or far from the last pose
   std::optional<KnownAlignment> views_;
-  std::optional<Similarity> tracked_;
+  std::optional<KnownAlignment> tracked_;
   std::int64_t tracked_stamp_ = 0;  ///< of the newest cloud that it was refined with [ns]
   bool rests_on_views_ = false;     ///< the tracked pose: neither geometry nor heights prove it
   ScalePrior scale_;

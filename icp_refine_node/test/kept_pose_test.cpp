@@ -1,0 +1,70 @@
+// Clouds that tell less of the pose than is known of it.
+#include "air_ground_common/covariance.h"
+#include "refiner_fixture.h"
+
+namespace icp_refine {
+namespace {
+
+class FlyingOn : public Refiner {
+ protected:
+  FlyingOn() {
+    refiner.setCoarse(scene.T_ground_map_mav_map);
+    before = refiner.refine();
+    // Within 0.8 m of here the geometry leaves a direction open.
+    for (const auto& p : scene.aerial.points)
+      if (std::abs(p.x() - centre.x()) < 0.8 && std::abs(p.y() - centre.y()) < 0.8) little.points.push_back(p);
+  }
+  /// All clouds that are refined show this.
+  void see(const Cloud& cloud) {
+    for (int k = 0; k < 8; ++k) refiner.addAerial(++stamp, cloud);
+  }
+  /// A coarse pose `offset` beside the truth, 10 cm sure.
+  void hearOf(const Eigen::Vector2d& offset) {
+    KnownAlignment coarse = viewsAt(moved(offset.x(), offset.y(), 0, 0));
+    coarse.covariance.topLeftCorner<3, 3>() = 0.1 * 0.1 * Eigen::Matrix3d::Identity();
+    refiner.setCoarse(coarse);
+  }
+  static double sigma(const RefineOutcome& out) {
+    return air_ground_common::largestStddev(out.covariance.topLeftCorner<3, 3>());
+  }
+
+  RefineOutcome before;
+  Cloud little;
+  std::int64_t stamp = 1;
+};
+
+TEST_F(FlyingOn, ThePoseIsKeptWhereTheCoarseOneWouldHoldItWorse) {
+  ASSERT_EQ(before.status, RefineStatus::kConverged) << before.reason;
+  see(little);
+  hearOf({0.05, 0.03});
+  const RefineOutcome out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  ASSERT_FALSE(out.icp.localizability.complete());
+  EXPECT_TRUE(out.kept);
+  EXPECT_EQ(out.stamp, stamp);
+  EXPECT_LT((out.T_ground_map_mav_map * centre - before.T_ground_map_mav_map * centre).norm(), 1e-9);
+  EXPECT_EQ(out.T_ground_map_mav_map.scale, before.T_ground_map_mav_map.scale);
+  EXPECT_GE(sigma(out), sigma(before));
+  EXPECT_LT(sigma(out), 1.5 * sigma(before));
+}
+
+TEST_F(FlyingOn, ButNotOnAGroundMapThatHasMoved) {
+  see(little);
+  refiner.groundMoved();
+  hearOf({0.05, 0.03});
+  EXPECT_FALSE(refiner.refine().kept);
+}
+
+TEST_F(FlyingOn, CloudsThatTellAsMuchReplaceIt) {
+  const Eigen::Vector3d drift(0.04, -0.03, 0);  // of the odometry
+  Cloud drifted = scene.aerial;
+  for (auto& p : drifted.points) p += drift.cast<float>();
+  see(drifted);
+  const RefineOutcome out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_FALSE(out.kept);
+  EXPECT_LT((out.T_ground_map_mav_map * (centre + drift) - before.T_ground_map_mav_map * centre).norm(), 0.01);
+}
+
+}  // namespace
+}  // namespace icp_refine
