@@ -3,6 +3,7 @@
 #include <ros/console.h>
 
 #include <Eigen/Geometry>
+#include <cmath>
 #include <utility>
 
 #include "air_ground_common/units.h"
@@ -10,9 +11,11 @@
 namespace air_ground_common::ros_utils {
 
 void CalibrationReport::update(double k1) {
+  constexpr double kWorthALine = 0.001;  // half a pixel or so in the corners of an image
   health_.value("k1", k1);
+  if (std::abs(k1 - told_) < kWorthALine) return;
   const double before = std::exchange(told_, k1);
-  if (k1 == before || k1 == given_) return;  // an estimator that was reset begins with what was given
+  if (std::abs(k1 - given_) < kWorthALine) return;  // an estimator that was reset begins with what was given
   ROS_WARN(
       "The images show that the calibration of the %s is off: k1 is %.4f, not %.4f, and is used so. Calibrate it; "
       "radial_stddev: 0 keeps what camera_info says",
