@@ -72,8 +72,7 @@ struct RefineOutcome {
   double view_sigmas = 0;     ///< how far it differs from that
   bool instead = false;       ///< of the tracked pose, which the coarse alignment contradicted
   bool held = false;          ///< directions that the geometry does not fix are known from the coarse alignment
-  bool kept =
-      false;  ///< the pose is the last refined one, with which the newest clouds agree and which they tell less of
+  bool kept = false;          ///< the pose is the tracked one: the newest clouds agree, and tell less of it
   HeightCheck heights;
   IcpResult icp;
 };
