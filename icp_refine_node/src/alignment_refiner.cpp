@@ -4,7 +4,6 @@
 #include <limits>
 #include <utility>
 
-#include "air_ground_common/covariance.h"
 #include "air_ground_common/text.h"
 #include "icp_refine/ceilings.h"
 
@@ -19,10 +18,6 @@ void withhold(RefineStatus status, const std::string& reason, RefineOutcome* out
   out->reason = reason;
   out->covariance = 1e6 * Matrix6d::Identity();
   out->scale_stddev = 0;
-}
-
-double positionStddev(const Matrix6d& covariance) {
-  return air_ground_common::largestStddev(covariance.topLeftCorner<3, 3>());
 }
 
 }  // namespace
@@ -191,7 +186,7 @@ void AlignmentRefiner::countDisagreement(const Eigen::Vector3d& centre) {
 RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
   const Similarity& T_tracked = tracked_->T_ground_map_mav_map;
   RefineOutcome out = attempt(reading, T_tracked);
-  if (tellsLess(out)) keepTracked(reading, &out);
+  keepIfKnownBetter(reading, &out);
   // A loop closure moves the ground map by more than ICP reaches from the last pose.
   const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
   if (moved_grounds_ > 0 && out.status != RefineStatus::kConverged && !too_little) {
@@ -221,28 +216,24 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
 }
 
 // Where little of the geometry is in view, the pose is better known from before.
-bool AlignmentRefiner::tellsLess(const RefineOutcome& out) const {
+void AlignmentRefiner::keepIfKnownBetter(const Cloud& reading, RefineOutcome* out) const {
   constexpr double kLess = 2;
-  if (out.status != RefineStatus::kConverged || groundHasMoved() || unproven_) return false;
-  const Matrix6d known = covarianceAbout(*tracked_, out.reference_point);
-  return positionStddev(out.covariance) > kLess * positionStddev(known) &&
-         squaredSigmas(*tracked_, out.icp) < settings_.known_squared_sigmas;
-}
-
-// Unless the heights of the newest clouds contradict it.
-void AlignmentRefiner::keepTracked(const Cloud& reading, RefineOutcome* out) const {
-  const HeightCheck heights = heights_->check(transformed(reading, tracked_->T_ground_map_mav_map), ground_camera_);
+  if (out->status != RefineStatus::kConverged || groundHasMoved() || unproven_) return;
+  const Matrix6d covariance = covarianceAbout(*tracked_, out->reference_point);
+  const double known = positionStddev(covariance), alone = positionStddev(out->covariance);
+  if (!(alone > kLess * known) || !(squaredSigmas(*tracked_, out->icp) < settings_.known_squared_sigmas)) return;
+  const Similarity& T = tracked_->T_ground_map_mav_map;
+  const HeightCheck heights = heights_->check(transformed(reading, T), ground_camera_);
   if (heights.conclusive && heights.agreement() < settings_.min_agreement) return;
-  const double alone = positionStddev(out->covariance);
   out->kept = true;
   out->heights = heights;
   out->overlap = heights.overlap();
-  out->T_ground_map_mav_map = tracked_->T_ground_map_mav_map;
-  out->covariance = covarianceAbout(*tracked_, out->reference_point);
-  out->scale_stddev = tracked_->scale_stddev * tracked_->T_ground_map_mav_map.scale;
+  out->T_ground_map_mav_map = T;
+  out->covariance = covariance;
+  out->scale_stddev = tracked_->scale_stddev * T.scale;
   out->reason = formatted(
-      "the last refined pose, known to %.3f m there, is kept: this cloud agrees, and alone tells it to %.3f m",
-      positionStddev(out->covariance), alone);
+      "the last refined pose, known to %.3f m there, is kept: this cloud agrees, and alone tells it to %.3f m", known,
+      alone);
 }
 
 // What the attempt says of the tracked pose.

@@ -56,7 +56,7 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
   }
   if (!icp.localizability.complete() && !out.seen && !out.held)
     return degenerate("the geometry does not fix: " + icp.localizability.describeMissing());
-  const double sigma = air_ground_common::largestStddev(out.covariance.topLeftCorner<3, 3>());
+  const double sigma = positionStddev(out.covariance);
   const double sigma_angle = air_ground_common::largestStddev(out.covariance.bottomRightCorner<3, 3>());
   if (sigma > settings_.max_sigma || sigma_angle > settings_.max_sigma_angle) {
     return degenerate(

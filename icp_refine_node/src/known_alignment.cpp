@@ -35,6 +35,10 @@ Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base) {
   return air_ground_common::yawPose(yaw, T_ground_map_base.translation() - turn * T_mav_map_base.translation());
 }
 
+double positionStddev(const Matrix6d& covariance) {
+  return air_ground_common::largestStddev(covariance.topLeftCorner<3, 3>());
+}
+
 Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point) {
   const Eigen::Vector3d lever = point - known.centre;
   Matrix6d out = air_ground_common::covarianceAt(known.covariance, lever);

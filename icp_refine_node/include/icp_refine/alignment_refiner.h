@@ -164,9 +164,9 @@ class AlignmentRefiner {
   void compareWithCoarse(RefineOutcome& out) const;
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading);
-  /// The outcome agrees with the tracked pose, which is known much better.
-  bool tellsLess(const RefineOutcome& out) const;
-  void keepTracked(const Cloud& reading, RefineOutcome* out) const;
+  /// Puts the outcome back to the tracked pose where it agrees with that, which is known much better, unless the
+  /// heights of the newest clouds contradict it.
+  void keepIfKnownBetter(const Cloud& reading, RefineOutcome* out) const;
   void follow(bool from_tracking, RefineOutcome* out);
   /// Heights that contradict the tracked pose do not end it.
   bool imagesHold(const RefineOutcome& out) const;

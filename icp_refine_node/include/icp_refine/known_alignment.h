@@ -17,6 +17,9 @@ struct KnownAlignment {
 /// Both maps hang from gravity: heading and place of one body in both fix the MAV's map in the ground robot's.
 Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base);
 
+/// Of the position, in any direction [m].
+double positionStddev(const Matrix6d& covariance);
+
 /// Its covariance about another point of the ground map: a turn about `centre` moves that point, and so does the scale.
 Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point);
 
