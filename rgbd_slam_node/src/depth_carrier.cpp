@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "depth_lookup.h"
 #include "rgbd_slam/depth_model.h"
 
 namespace rgbd_slam {
@@ -12,9 +13,8 @@ using air_ground_common::Pose;
 
 namespace {
 
-constexpr int kCell = 16;              // between nodes of the grid [px]
-constexpr float kLeastShift = 0.5f;    // smaller ones matter less than where a feature is [px]
-constexpr float kSameSurface = 0.05f;  // of neighbouring depths, relative: between others there is an edge
+constexpr int kCell = 16;            // between nodes of the grid [px]
+constexpr float kLeastShift = 0.5f;  // smaller ones matter less than where a feature is [px]
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 
 /// 0, kCell ... and the last pixel.
@@ -23,22 +23,6 @@ std::vector<int> nodesAlong(int pixels) {
   for (int i = 0; i < pixels - 1; i += kCell) nodes.push_back(i);
   nodes.push_back(pixels - 1);
   return nodes;
-}
-
-/// Depth at a place of the image: between four pixels of one surface linear, so that a slanted one does not become
-/// stairs, else that of the nearest pixel. Not positive or not finite: unknown.
-float depthAt(const cv::Mat& depth, float x, float y) {
-  if (!(x >= 0 && y >= 0 && x <= static_cast<float>(depth.cols - 1) && y <= static_cast<float>(depth.rows - 1)))
-    return kNaN;
-  const int u = std::min(static_cast<int>(x), depth.cols - 2), v = std::min(static_cast<int>(y), depth.rows - 2);
-  const float *upper = depth.ptr<float>(v) + u, *lower = depth.ptr<float>(v + 1) + u;
-  const float a = upper[0], b = upper[1], c = lower[0], d = lower[1];
-  const float right = x - static_cast<float>(u), down = y - static_cast<float>(v);
-  const float least = std::min(std::min(a, b), std::min(c, d)), most = std::max(std::max(a, b), std::max(c, d));
-  // Sums and products with NaN are NaN, comparisons false.
-  if (least > 0 && most - least < kSameSurface * least && std::isfinite(a + b + c + d))
-    return (1 - down) * (a + right * (b - a)) + down * (c + right * (d - c));
-  return (down < 0.5f ? upper : lower)[right < 0.5f ? 0 : 1];
 }
 
 }  // namespace
@@ -96,33 +80,52 @@ cv::Mat DepthCarrier::carry(const cv::Mat& depth, const Pose& T_image_depth) {
   return carried;
 }
 
-void DepthCarrier::carryRow(const cv::Mat& depth, int v, const std::vector<Node>& row, float offset, float* out) const {
+void DepthCarrier::carryRow(const cv::Mat& depth, int v, const std::vector<Node>& row, float offset, float* out) {
   constexpr int kRounds = 3;
+  const int width = depth.cols;
   const float* here = depth.ptr<float>(v);
-  float inverse = 0;  // depth, as far as known; where nothing is known here, that of the pixel before [1/m]
+  sought_.resize(width);
+  Sought& s = sought_;
   for (std::size_t c = 0; c + 1 < row.size(); ++c) {
     const Node &a = row[c], &b = row[c + 1];
     const float step = 1 / static_cast<float>(columns_[c + 1] - columns_[c]);
-    const int last = c + 2 < row.size() ? columns_[c + 1] - 1 : columns_[c + 1];
-    for (int u = columns_[c]; u <= last; ++u) {
-      const float share = step * static_cast<float>(u - columns_[c]);
+    const int first = columns_[c], last = c + 2 < row.size() ? columns_[c + 1] - 1 : columns_[c + 1];
+    for (int u = first; u <= last; ++u) {
+      const float share = step * static_cast<float>(u - first);
       const auto between = [share](float p, float q) { return p + share * (q - p); };
-      const float x = static_cast<float>(u) + between(a.far_x, b.far_x),
-                  y = static_cast<float>(v) + between(a.far_y, b.far_y), along_x = between(a.near_x, b.near_x),
-                  along_y = between(a.near_y, b.near_y), scale = between(a.scale, b.scale);
-      if (isKnown(here[u])) inverse = 1 / here[u];
+      s.far_x[u] = static_cast<float>(u) + between(a.far_x, b.far_x);
+      s.far_y[u] = static_cast<float>(v) + between(a.far_y, b.far_y);
+      s.near_x[u] = between(a.near_x, b.near_x);
+      s.near_y[u] = between(a.near_y, b.near_y);
+      s.scale[u] = between(a.scale, b.scale);
+    }
+  }
+  float inverse = 0;  // depth; where nothing is known here, that of the pixel before [1/m]
+  for (int u = 0; u < width; ++u) {
+    if (isKnown(here[u])) inverse = 1 / here[u];
+    s.inverse[u] = inverse;
+  }
+  for (int u = 0; u < width; ++u) {
+    s.x[u] = s.far_x[u] + s.near_x[u] * s.inverse[u];
+    s.y[u] = s.far_y[u] + s.near_y[u] * s.inverse[u];
+  }
+  const DepthImage image{depth.ptr<float>(), width, depth.rows, static_cast<std::ptrdiff_t>(depth.step1())};
+  depthsAt(image, s.x.data(), s.y.data(), width, out);
+  for (int u = 0; u < width; ++u) {
+    const float way = s.near_x[u] * s.near_x[u] + s.near_y[u] * s.near_y[u];
+    for (int round = 1;; ++round) {
+      const float z = s.scale[u] * (out[u] + offset);
       out[u] = kNaN;
-      for (int round = 0; round < kRounds; ++round) {
-        const float z = scale * (depthAt(depth, x + along_x * inverse, y + along_y * inverse) + offset);
-        if (!(z > 0) || !std::isfinite(z)) break;
-        const float change = 1 / z - inverse;
-        inverse += change;
-        // Else what was found lies elsewhere in the image than where it was looked for.
-        if ((along_x * along_x + along_y * along_y) * change * change < kLeastShift * kLeastShift) {
-          out[u] = z;
-          break;
-        }
+      if (!(z > 0) || !std::isfinite(z)) break;
+      const float change = 1 / z - s.inverse[u];
+      s.inverse[u] += change;
+      if (way * change * change < kLeastShift * kLeastShift) {
+        out[u] = z;
+        break;
       }
+      // What was found lies elsewhere in the image than where it was looked for.
+      if (round == kRounds) break;
+      out[u] = depthAt(image, s.far_x[u] + s.near_x[u] * s.inverse[u], s.far_y[u] + s.near_y[u] * s.inverse[u]);
     }
   }
 }

@@ -28,14 +28,22 @@ class DepthCarrier {
     float near_x, near_y;  ///< what is added to that at 1 m, in proportion to inverse depth [px m]
     float scale;           ///< of the depth found there
   };
+  /// Of a row's pixels: nodes between which each lies, and where it is looked for.
+  struct Sought {
+    std::vector<float> far_x, far_y, near_x, near_y, scale, inverse, x, y;
+    void resize(int pixels) {
+      for (auto* of_pixel : {&far_x, &far_y, &near_x, &near_y, &scale, &inverse, &x, &y}) of_pixel->resize(pixels);
+    }
+  };
   void makeGrid();
   std::vector<Node> displacements(const air_ground_common::Pose& T_image_depth) const;
   /// `offset`: of a depth found, before it is scaled [m].
-  void carryRow(const cv::Mat& depth, int v, const std::vector<Node>& row, float offset, float* out) const;
+  void carryRow(const cv::Mat& depth, int v, const std::vector<Node>& row, float offset, float* out);
 
   air_ground_common::CameraModel camera_;
   std::vector<int> columns_, rows_;    ///< pixels of the grid's nodes
   std::vector<Eigen::Vector2d> rays_;  ///< of the nodes, row by row, z = 1
+  Sought sought_;
 };
 
 }  // namespace rgbd_slam

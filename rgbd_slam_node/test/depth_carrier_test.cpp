@@ -3,9 +3,12 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <limits>
+#include <random>
 
 #include "../src/camera_motion.h"
+#include "../src/depth_lookup.h"
 #include "air_ground_common/statistics.h"
 #include "rgbd_slam/depth_model.h"
 #include "simulated_robot.h"
@@ -58,6 +61,35 @@ double error(const cv::Mat& depth, const cv::Mat& truth) {
   cv::Mat difference = depth(inside) - truth(inside);
   const cv::Mat known = difference == difference;
   return cv::norm(difference, cv::NORM_L2, known) / std::sqrt(cv::countNonZero(known));
+}
+
+TEST(DepthLookup, ManyPlacesAreAsOneByOne) {
+  constexpr float kNaN = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
+  std::mt19937 random(3);
+  std::uniform_real_distribution<float> anywhere(-3, 44), depths(1, 1.06f);
+  std::vector<float> image(40 * 30), x(1000), y(1000), found(1000);
+  for (std::size_t i = 0; i < image.size(); ++i)
+    image[i] = i % 7 ? depths(random) : std::array{0.F, kNaN, kInfinity, 3.F}[i / 7 % 4];
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    x[i] = i % 100 ? anywhere(random) : kNaN;
+    y[i] = i % 90 ? anywhere(random) : 29;
+  }
+  const DepthImage depth{image.data(), 37, 30, 40};
+  depthsAt(depth, x.data(), y.data(), 1000, found.data());
+  int known = 0, unknown = 0;
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    const float z = depthAt(depth, x[i], y[i]);
+    if (std::isnan(z)) {
+      EXPECT_TRUE(std::isnan(found[i])) << x[i] << " " << y[i];
+    } else if (std::isinf(z)) {
+      EXPECT_EQ(found[i], z);
+    } else {
+      EXPECT_NEAR(found[i], z, 1e-5) << x[i] << " " << y[i];
+    }
+    (std::isfinite(z) && z > 0 ? known : unknown) += 1;
+  }
+  EXPECT_GT(known, 300);
+  EXPECT_GT(unknown, 100);
 }
 
 TEST(DepthCarrier, ShowsWhatTheCameraSawAtTheImagesTime) {
