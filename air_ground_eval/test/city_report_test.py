@@ -18,7 +18,7 @@ from sensor_msgs.msg import NavSatFix
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import demo, evaluation, geometry, messages  # noqa: E402
+from air_ground_eval import city_database, demo, evaluation, geometry, messages  # noqa: E402
 
 DURATION = 20.0
 UNDULATION = 49.6
@@ -55,16 +55,17 @@ def write_bag(path):
 
 
 def write_database(path):
-    """The tables that the report reads of a Street View database: one house, two panoramas."""
+    """The tables that the report reads of a Street View database: one house on a large meadow, two panoramas."""
     with sqlite3.connect(path) as database:
         database.execute('CREATE TABLE street_view_database (key TEXT, value TEXT)')
         database.executemany('INSERT INTO street_view_database VALUES (?, ?)',
                              [('crs', 'EPSG:2056')] + [(f'origin_{axis}', str(x)) for axis, x in zip('xyz', ORIGIN)])
         database.execute('CREATE TABLE panoramas (x REAL, y REAL, z REAL, views INTEGER)')
         database.executemany('INSERT INTO panoramas VALUES (?, ?, 2.5, 12)', [(0, 0), (12, 0)])
-        database.execute('CREATE TABLE buildings (vertices BLOB, triangles BLOB)')
+        database.execute('CREATE TABLE buildings (building_id TEXT, vertices BLOB, triangles BLOB)')
         corners = np.array([(0, 8, 0), (30, 8, 0), (30, 16, 0), (0, 16, 0)], '<f4')
-        database.execute('INSERT INTO buildings VALUES (?, ?)', (corners.tobytes(), np.array([(0, 1, 2), (0, 2, 3)], '<i4').tobytes()))
+        triangles = np.array([(0, 1, 2), (0, 2, 3)], '<i4').tobytes()
+        database.executemany('INSERT INTO buildings VALUES (?, ?, ?)', [(None, (10 * corners).tobytes(), triangles), ('house', corners.tobytes(), triangles)])
 
 
 class CityReport(unittest.TestCase):
@@ -129,6 +130,11 @@ class CityReport(unittest.TestCase):
             self.assertGreater(os.path.getsize(os.path.join(out, name)), 20000)
         for name in ('tracker', 'vo', 'gps', 'truth'):
             self.assertGreater(len(evaluation.read_tum(os.path.join(out, f'{name}_trajectory.txt'))), 20)
+
+    def test_the_terrain_is_no_building(self):
+        with tempfile.TemporaryDirectory() as folder:
+            write_database(os.path.join(folder, 'x.gpkg'))
+            self.assertEqual(city_database.read_city(os.path.join(folder, 'x.gpkg')).triangles.max(), 30)
 
     def test_tracker_that_never_starts(self):
         _, values, output = self.run_replay(fix_period=1000.0, fix_delay=1000.0)

@@ -7,6 +7,7 @@
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
+#include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <CLI/CLI.hpp>
@@ -16,7 +17,6 @@
 #include <functional>
 #include <iostream>
 #include <limits>
-#include <map>
 #include <memory>
 #include <numeric>
 #include <opencv2/imgcodecs.hpp>
@@ -202,28 +202,33 @@ struct Topics {
 /// Calibration and mountings of a bag; no camera when something is missing.
 Setup readSetup(const rosbag::Bag& bag, const Topics& topics) {
   Setup setup;
-  std::map<std::string, Pose> fixed;
+  tf2::BufferCore fixed;
   std::string camera_frame, imu_frame;
+  const auto known = [&](const std::string& frame) {
+    return !frame.empty() && fixed.canTransform(topics.base, frame, ros::Time(0));
+  };
+  const auto mounting = [&](const std::string& frame) {
+    return ros_utils::fromMsg(fixed.lookupTransform(topics.base, frame, ros::Time(0)).transform);
+  };
   for (const rosbag::MessageInstance& m :
        rosbag::View(bag, rosbag::TopicQuery({"/tf_static", topics.info, topics.imu}))) {
     if (const auto tf = m.instantiate<tf2_msgs::TFMessage>())
-      for (const auto& t : tf->transforms)
-        if (t.header.frame_id == topics.base) fixed[t.child_frame_id] = ros_utils::fromMsg(t.transform);
+      for (const auto& t : tf->transforms) fixed.setTransform(t, "bag", true);
     if (const auto info = m.instantiate<sensor_msgs::CameraInfo>(); info && !setup.camera) {
       setup.camera = ros_utils::fromMsg(ros_utils::infoOfImages(*info, topics.image));
       camera_frame = info->header.frame_id;
     }
     if (const auto imu = m.instantiate<sensor_msgs::Imu>(); imu && imu_frame.empty()) imu_frame = imu->header.frame_id;
-    if (setup.camera && !imu_frame.empty() && fixed.count(camera_frame) && fixed.count(imu_frame)) break;
+    if (setup.camera && known(camera_frame) && known(imu_frame)) break;
   }
-  if (!fixed.count(camera_frame)) {
+  if (!known(camera_frame)) {
     std::cerr << "no calibration on " << topics.info << " or no static transform " << topics.base << " <- '"
               << camera_frame << "'\n";
     setup.camera.reset();
     return setup;
   }
-  setup.T_base_camera = fixed[camera_frame];
-  if (fixed.count(imu_frame)) setup.T_base_imu = fixed[imu_frame];
+  setup.T_base_camera = mounting(camera_frame);
+  if (known(imu_frame)) setup.T_base_imu = mounting(imu_frame);
   return setup;
 }
 

@@ -27,7 +27,7 @@ class City:
     crs: str = ''
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     panoramas: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))  # of all buildings
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))  # of all buildings, not of the terrain
 
 
 def read_city(path):
@@ -41,7 +41,7 @@ def read_city(path):
             info = dict(database.execute('SELECT key, value FROM street_view_database'))
             panoramas = list(database.execute('SELECT x, y, z FROM panoramas WHERE views > 0'))
             triangles = [np.frombuffer(vertices, '<f4').reshape(-1, 3)[np.frombuffer(indices, '<i4').reshape(-1, 3)]
-                         for vertices, indices in database.execute('SELECT vertices, triangles FROM buildings')]
+                         for vertices, indices in database.execute('SELECT vertices, triangles FROM buildings WHERE building_id IS NOT NULL')]
         origin = np.array([float(info[f'origin_{axis}']) for axis in 'xyz'])
     except (sqlite3.Error, KeyError, ValueError) as error:
         raise CityError(f'{path} is no complete Street View database: {error}') from error
