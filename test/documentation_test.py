@@ -24,8 +24,8 @@ from air_ground_eval import own_outputs  # noqa: E402
 NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'view_match', 'icp_refine', 'streetview_localizer', 'ekf_tracker')
 LAUNCH_FILES = ('mav.launch', 'ground.launch', 'air_ground.launch', 'replay.launch', 'tracker.launch', 'city_localizer.launch', 'city.launch')
 # What city.launch sets itself in the files that it includes.
-SET_BY_CITY = {'database', 'bag', 'rviz', 'rviz_config', 'rate', 'start', 'images', 'camera', 'cameras', 'period', 'mav_camera_frame', 'tracker_name', 'localizer_required', 'respawn'}
-SET_BY_REPLAY = {'respawn'}
+SET_BY_CITY = {'database', 'bag', 'rviz', 'rviz_config', 'rate', 'start', 'images', 'camera', 'cameras', 'period', 'mav_camera_frame', 'tracker_name', 'localizer_required', 'player_waits', 'respawn'}
+SET_BY_REPLAY = {'player_waits', 'respawn'}
 
 
 def read(*path):

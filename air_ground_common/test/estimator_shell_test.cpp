@@ -45,6 +45,8 @@ class StandIn : public Estimator {
   }
   EstimatorResult process(const EstimatorFrame& frame) override {
     if (fail) throw std::runtime_error("this one is spoilt");
+    for (; held; std::this_thread::sleep_for(std::chrono::milliseconds(5))) {
+    }
     if (frame.depth && frame.depth->encoding == "16UC1") ++depths;
     ++images;
     EstimatorResult result;
@@ -67,7 +69,7 @@ class StandIn : public Estimator {
     return {{pose, "", 9}, {pose, "", 8}, {pose, "", 7}};
   }
 
-  std::atomic<bool> fail{false}, fail_idle{false}, fail_keep{false}, slow{false};
+  std::atomic<bool> fail{false}, fail_idle{false}, fail_keep{false}, slow{false}, held{false};
   std::atomic<int> saving{0}, images{0}, published{0}, depths{0}, samples{0}, disorder{0}, resets{0};
 
  private:
@@ -219,6 +221,27 @@ TEST_F(Shell, InAReplayTheStartsAreCounted) {
   for (const std::uint32_t id : {1, 10001, 20001}) {
     start();
     EXPECT_EQ(shell_->mapId(), id);
+  }
+  ros::Time::init();
+}
+
+// A bag that is played with nobody to hold the player goes on as the world does.
+TEST_F(Shell, OfAReplayLateImagesAreDroppedUnlessThePlayerWaits) {
+  ros::Time::setNow(ros::Time(5.0));
+  settings_.max_latency = 1;
+  const auto late = [&] { return shell_->health().counted("images dropped: further behind than max_latency"); };
+  for (const bool waits : {true, false}) {
+    settings_.player_waits = waits;
+    start();
+    const int before = estimator_.images;
+    ASSERT_TRUE(publishUntil([&] { return estimator_.images > before + 3; }));
+    const int held = estimator_.images;
+    estimator_.held = true;
+    for (int i = 0; i < 50; ++i) publish(next_++);  // five seconds at once
+    pause(100);
+    estimator_.held = false;
+    EXPECT_TRUE(spinUntil([&] { return waits ? estimator_.images > held + 45 : late() > 30; }));
+    EXPECT_EQ(late() == 0, waits);
   }
   ros::Time::init();
 }

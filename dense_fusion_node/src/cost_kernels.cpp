@@ -206,6 +206,46 @@ float squaredDifference(std::uint8_t reference, int x, float rho, const RowOfFra
   return difference * difference;
 }
 
+AIR_GROUND_CLONES
+void addSquaredDifferences(const std::uint8_t* reference, const std::int32_t* x, const float* rho, int n, int dx,
+                           int x0, int x1, const RowOfFrame& frame, const std::uint32_t* packed, int stride,
+                           float* __restrict sum) {
+  const float X0 = frame.base[0], Y0 = frame.base[1], W0 = frame.base[2], dX = frame.step[0], dY = frame.step[1],
+              dW = frame.step[2], sX = frame.shift[0], sY = frame.shift[1], sW = frame.shift[2];
+  alignas(64) std::uint32_t pixels[kChunk];
+  alignas(64) std::int32_t at[kChunk];
+  alignas(64) float across[kChunk], down[kChunk], inside[kChunk], level[kChunk];
+  for (int begin = 0; begin < n; begin += kChunk) {
+    const int count = std::min(kChunk, n - begin);
+    for (int i = 0; i < count; ++i) {
+      const int u = x[begin + i] + dx;
+      const bool seen = (u >= x0) & (u < x1);
+      at[i] = seen ? u : x0;  // which is seen, too
+      inside[i] = seen ? 1.F : 0.F;
+    }
+    for (int i = 0; i < count; ++i) level[i] = static_cast<float>(reference[at[i]]);
+    for (int i = 0; i < count; ++i) {
+      const float u = static_cast<float>(at[i]), depth = rho[begin + i], scale = 1 / (W0 + u * dW + depth * sW);
+      const float px = (X0 + u * dX + depth * sX) * scale, py = (Y0 + u * dY + depth * sY) * scale;
+      const std::int32_t iu = static_cast<std::int32_t>(px), iv = static_cast<std::int32_t>(py);
+      across[i] = px - static_cast<float>(iu);
+      down[i] = py - static_cast<float>(iv);
+      pixels[i] = static_cast<std::uint32_t>(iv * stride + iu);
+    }
+    fetch(packed, count, pixels);
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::int32_t>(pixels[i]);
+      const float a = static_cast<float>(p & 255), b = static_cast<float>(p >> 8 & 255),
+                  c = static_cast<float>(p >> 16 & 255), d = static_cast<float>(p >> 24 & 255);
+      const float upper = a + across[i] * (b - a), lower = c + across[i] * (d - c);
+      const float sample = upper + down[i] * (lower - upper);
+      const float difference = sample - level[i], size = difference < 0 ? -difference : difference;
+      const float cut = size < static_cast<float>(kDifferenceLimit) ? size : static_cast<float>(kDifferenceLimit);
+      sum[begin + i] += inside[i] * cut * cut;
+    }
+  }
+}
+
 void packNeighborhoods(const std::uint8_t* image, int width, int height, std::uint32_t* packed) {
   for (int y = 0; y < height; ++y) {
     const std::uint8_t* top = image + static_cast<std::ptrdiff_t>(y) * width;

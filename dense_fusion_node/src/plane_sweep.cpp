@@ -223,31 +223,43 @@ void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, const Judge
 void PlaneSweep::chooseSurfaces(const cv::Mat& cost, DepthMap* map) const {
   const cv::Mat depth = map->depth.clone(), confidence = map->confidence.clone();
   const cv::Mat others = otherSurfaces(depth, cost, settings_.aggregation_radius, settings_.threads);
+  air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(dynamic, 8) num_threads(settings_.threads)
   for (int y = 0; y < depth.rows; ++y)
-    for (int x = 0; x < depth.cols; ++x) {
-      const int other = others.at<int>(y, x);
-      if (other < 0) continue;
-      const float z = depth.ptr<float>()[other];
-      const double own = costAround(x, y, 1 / depth.at<float>(y, x), std::numeric_limits<double>::infinity());
-      if (!(costAround(x, y, 1 / z, own) < own)) continue;
-      map->depth.at<float>(y, x) = z;
-      map->confidence.at<float>(y, x) = confidence.ptr<float>()[other];
-    }
+    failure.guard([&] {
+      std::vector<std::int32_t> x;
+      std::vector<float> own, other;  // inverse depths
+      for (int u = 0; u < depth.cols; ++u) {
+        const int elsewhere = others.at<int>(y, u);
+        if (elsewhere < 0) continue;
+        x.push_back(u);
+        own.push_back(1 / depth.at<float>(y, u));
+        other.push_back(1 / depth.ptr<float>()[elsewhere]);
+      }
+      const std::vector<float> cost_own = costsAround(y, x, own), cost_other = costsAround(y, x, other);
+      for (std::size_t i = 0; i < x.size(); ++i) {
+        if (!(cost_other[i] < cost_own[i])) continue;
+        const int elsewhere = others.at<int>(y, x[i]);
+        map->depth.at<float>(y, x[i]) = depth.ptr<float>()[elsewhere];
+        map->confidence.at<float>(y, x[i]) = confidence.ptr<float>()[elsewhere];
+      }
+    });
+  failure.rethrow();
 }
 
-double PlaneSweep::costAround(int x, int y, float rho, double enough) const {
+std::vector<float> PlaneSweep::costsAround(int y, const std::vector<std::int32_t>& x,
+                                           const std::vector<float>& rho) const {
   constexpr int kRadius = 1;
-  double sum = 0;
+  std::vector<float> sums(x.size(), 0.F);
   for (int v = std::max(0, y - kRadius); v <= std::min(camera_.height - 1, y + kRadius); ++v)
     for (const View& view : views_) {
-      const int first = std::max(view.x0[v], x - kRadius), last = std::min(view.x1[v] - 1, x + kRadius);
-      const std::uint8_t* reference = reference_.normalized.ptr<std::uint8_t>(v);
-      for (int u = first; u <= last; ++u)
-        sum += kernels::squaredDifference(reference[u], u, rho, view.rows[v], view.packed.data(), camera_.width);
-      if (sum >= enough) return sum;
+      if (view.x1[v] <= view.x0[v]) continue;
+      for (int dx = -kRadius; dx <= kRadius; ++dx)
+        kernels::addSquaredDifferences(reference_.normalized.ptr<std::uint8_t>(v), x.data(), rho.data(),
+                                       static_cast<int>(x.size()), dx, view.x0[v], view.x1[v], view.rows[v],
+                                       view.packed.data(), camera_.width, sums.data());
     }
-  return sum;
+  return sums;
 }
 
 DepthMap PlaneSweep::depthMap(bool few) const {

@@ -75,6 +75,33 @@ TEST(CostKernels, ASinglePixelIsThatOfItsRow) {
     }
 }
 
+TEST(CostKernels, ManyPixelsAreAsOneByOne) {
+  std::mt19937 random(9);
+  const int width = 120, height = 40, n = 600, x0 = 8, x1 = 95;
+  std::vector<std::uint8_t> image(width * height), reference(width);
+  for (auto& v : image) v = static_cast<std::uint8_t>(random());
+  for (auto& v : reference) v = static_cast<std::uint8_t>(random());
+  std::vector<std::uint32_t> packed(image.size());
+  kernels::packNeighborhoods(image.data(), width, height, packed.data());
+  const kernels::RowOfFrame frame{{3.2f, 20.4f, 1.f}, {0.97f, 0.01f, 1e-5f}, {9.f, 12.f, 0.02f}};
+  std::vector<std::int32_t> x(n);
+  std::vector<float> rho(n), sums(n, 7.f);
+  for (int i = 0; i < n; ++i) {
+    x[i] = static_cast<std::int32_t>(random() % width);
+    rho[i] = 0.2f + 0.001f * static_cast<float>(random() % 700);
+  }
+  for (const int dx : {-1, 2})
+    kernels::addSquaredDifferences(reference.data(), x.data(), rho.data(), n, dx, x0, x1, frame, packed.data(), width,
+                                   sums.data());
+  for (int i = 0; i < n; ++i) {
+    double expected = 7;
+    for (const int u : {x[i] - 1, x[i] + 2})
+      if (u >= x0 && u < x1)
+        expected += kernels::squaredDifference(reference[u], u, rho[i], frame, packed.data(), width);
+    EXPECT_NEAR(sums[i], expected, 0.5) << x[i];
+  }
+}
+
 TEST(CostKernels, BoxRowsMatchesDirectSums) {
   std::mt19937 random(3);
   for (const int radius : {0, 1, 2, 4})

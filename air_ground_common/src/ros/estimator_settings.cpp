@@ -29,7 +29,8 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
   v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
   v("queue_memory", s.queue_memory, {1, 1000000}, "MB", "and no more of them than this, the oldest dropped first");
   v("max_latency", s.max_latency, {0.0, 600.0}, "s",
-    "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
+    "images further behind the newest are dropped, oldest first; 0 = none; replay.launch drops none (player_waits)");
+  v("player_waits", s.player_waits, kPlayerWaits);
   v("autosave", s.autosave, kAutosave);
   v("accel_topic", s.accel_topic,
     "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "

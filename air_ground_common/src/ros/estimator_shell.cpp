@@ -46,7 +46,7 @@ FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings, cons
   a.imu_wait = settings.imu_wait;
   a.settle = kTopicsInStep;
   a.images = queueLimits(settings, names.depth.empty() ? 1 : kAssembledShare);
-  a.max_latency = ros::Time::isSimTime() ? 0 : settings.max_latency;  // the player of a replay waits for its nodes
+  a.max_latency = settings.player_waits ? 0 : settings.max_latency;
   return a;
 }
 

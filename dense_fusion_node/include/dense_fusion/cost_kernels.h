@@ -38,6 +38,12 @@ void addRowReference(const std::uint8_t* reference, int x0, int x1, const RowOfF
 float squaredDifference(std::uint8_t reference, int x, float rho, const RowOfFrame& frame, const std::uint32_t* packed,
                         int stride);
 
+/// sum[i] += squaredDifference of pixel x[i] + dx at inverse depth rho[i], for those of the `n` whose pixel lies in
+/// [x0, x1). `reference`: its row.
+void addSquaredDifferences(const std::uint8_t* reference, const std::int32_t* x, const float* rho, int n, int dx,
+                           int x0, int x1, const RowOfFrame& frame, const std::uint32_t* packed, int stride,
+                           float* sum);
+
 /// packed[y * width + x] = image(x, y) | image(x+1, y) << 8 | image(x, y+1) << 16 | image(x+1, y+1) << 24, borders
 /// replicated.
 void packNeighborhoods(const std::uint8_t* image, int width, int height, std::uint32_t* packed);

@@ -90,8 +90,8 @@ class PlaneSweep {
                    DepthMap* map, cv::Mat* cost) const;
   /// `cost`: of the windows around the pixels, a sample.
   void chooseSurfaces(const cv::Mat& cost, DepthMap* map) const;
-  /// Of the 3x3 pixels around one, at one depth; may end early where it is `enough` or more.
-  double costAround(int x, int y, float rho, double enough) const;
+  /// Of the 3x3 pixels around each pixel `x` of row y, at its inverse depth `rho`.
+  std::vector<float> costsAround(int y, const std::vector<std::int32_t>& x, const std::vector<float>& rho) const;
 
   air_ground_common::CameraModel camera_;
   PlaneSweepSettings settings_;

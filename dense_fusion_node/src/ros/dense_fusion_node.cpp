@@ -32,7 +32,7 @@ class DenseFusionNode {
   explicit DenseFusionNode(const NodeSettings& settings)
       : settings_(settings),
         health_("dense_fusion"),
-        max_latency_(ros::Time::isSimTime() ? 0 : settings.max_latency),  // the player of a replay waits for its nodes
+        max_latency_(settings.player_waits ? 0 : settings.max_latency),
         queue_(static_cast<std::size_t>(settings.queue_size), max_latency_, health_),
         map_(settings_, health_),
         publisher_(handle_, map_, queue_, health_),

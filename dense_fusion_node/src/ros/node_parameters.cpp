@@ -3,6 +3,7 @@
 #include "air_ground_common/niceness.h"
 #include "air_ground_common/parameters.h"
 #include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/ros/parameters.h"
 
 namespace dense_fusion {
 
@@ -19,8 +20,9 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
     "posed images that may wait for the worker (512 MB of them at the most); the oldest are dropped, and counted, "
     "beyond it");
   v("max_latency", s.max_latency, {0, 600}, "s",
-    "live: waiting images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops "
-    "none");
+    "waiting images further behind the newest are dropped, oldest first; 0 = none; replay.launch drops none "
+    "(player_waits)");
+  v("player_waits", s.player_waits, air_ground_common::ros_utils::kPlayerWaits);
   v("flush_timeout", s.flush_timeout, {0, 3600}, "s",
     "wall time without input after which the depth maps at hand are fused; 0: only when asked (~flush)");
   v("service_timeout", s.service_timeout, {0.01, 3600}, "s",

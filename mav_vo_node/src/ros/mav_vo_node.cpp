@@ -64,7 +64,7 @@ class MavVoNode : private ros_utils::Estimator {
   void make(const CameraModel& camera, const Pose& T_base_camera, const std::optional<Pose>& T_base_imu) override {
     OdometrySettings settings = settings_.odometry;
     settings.use_imu = T_base_imu.has_value();
-    settings.reproducible = ros::Time::isSimTime();
+    settings.reproducible = settings_.estimator.player_waits;
     visual_ = !settings.use_imu;
     external_scale_.emplace(T_base_camera);
     calibration_.setGiven(camera.k1);

@@ -98,7 +98,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
       mounting.p_base_imu = T_base_imu->translation();
     }
     SlamSettings settings = settings_.slam;
-    settings.reproducible = ros::Time::isSimTime();
+    settings.reproducible = settings_.estimator.player_waits;
     slam_ = std::make_unique<Slam>(camera, mounting, settings);
     depth_.setColourCamera(camera, T_base_camera);
     calibration_.setGiven(camera.k1);

@@ -51,7 +51,8 @@ struct EstimatorSettings {
   bool use_imu = true;
   double transform_timeout = 5.0;  ///< an image waits so long for its mounting, wall clock [s]
   double imu_wait = 0.5;           ///< and for the IMU's samples up to its stamp [s of data]
-  double max_latency = 1.0;        ///< images further behind the newest are dropped; 0 = none; live only [s of data]
+  double max_latency = 1.0;        ///< images further behind the newest are dropped; 0 = none [s of data]
+  bool player_waits = false;       ///< the player of a replay is held while the node lags: nothing is dropped
   double sync_tolerance = 0.02;    ///< of the stamps of an image and its depth image [s]
   int queue_size = 400;            ///< images that wait ...
   double queue_memory = 1000;      ///< ... and what they take at the most [MB]

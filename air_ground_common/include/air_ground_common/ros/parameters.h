@@ -17,6 +17,11 @@ namespace air_ground_common::ros_utils {
 /// Private parameter that counts how often a node has been started under this master; kept by the nodes themselves.
 constexpr const char* kStartsParameter = "starts";
 
+/// Meaning of the parameter player_waits.
+constexpr const char* kPlayerWaits =
+    "true: of a replay whose player is held while this node lags (set by replay.launch and city.launch): no image is "
+    "dropped for being late";
+
 /// Reads the private parameters of a node. Throws ParameterError.
 class ServerReader : public ParameterReader {
  public:
