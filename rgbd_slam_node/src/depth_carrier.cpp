@@ -4,7 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "depth_lookup.h"
 #include "rgbd_slam/depth_model.h"
 
 namespace rgbd_slam {
@@ -81,7 +80,6 @@ cv::Mat DepthCarrier::carry(const cv::Mat& depth, const Pose& T_image_depth) {
 }
 
 void DepthCarrier::carryRow(const cv::Mat& depth, int v, const std::vector<Node>& row, float offset, float* out) {
-  constexpr int kRounds = 3;
   const int width = depth.cols;
   const float* here = depth.ptr<float>(v);
   sought_.resize(width);
@@ -111,23 +109,24 @@ void DepthCarrier::carryRow(const cv::Mat& depth, int v, const std::vector<Node>
   }
   const DepthImage image{depth.ptr<float>(), width, depth.rows, static_cast<std::ptrdiff_t>(depth.step1())};
   depthsAt(image, s.x.data(), s.y.data(), width, out);
-  for (int u = 0; u < width; ++u) {
-    const float way = s.near_x[u] * s.near_x[u] + s.near_y[u] * s.near_y[u];
-    for (int round = 1;; ++round) {
-      const float z = s.scale[u] * (out[u] + offset);
-      out[u] = kNaN;
-      if (!(z > 0) || !std::isfinite(z)) break;
-      const float change = 1 / z - s.inverse[u];
-      s.inverse[u] += change;
-      if (way * change * change < kLeastShift * kLeastShift) {
-        out[u] = z;
-        break;
-      }
-      // What was found lies elsewhere in the image than where it was looked for.
-      if (round == kRounds) break;
-      out[u] = depthAt(image, s.far_x[u] + s.near_x[u] * s.inverse[u], s.far_y[u] + s.near_y[u] * s.inverse[u]);
-    }
+  for (int u = 0; u < width; ++u) out[u] = settled(image, u, offset, out[u]);
+}
+
+float DepthCarrier::settled(const DepthImage& image, int u, float offset, float found) const {
+  constexpr int kRounds = 3;
+  const Sought& s = sought_;
+  const float squared = s.near_x[u] * s.near_x[u] + s.near_y[u] * s.near_y[u];
+  float inverse = s.inverse[u];
+  for (int round = 0; round < kRounds; ++round) {
+    if (round > 0) found = depthAt(image, s.far_x[u] + s.near_x[u] * inverse, s.far_y[u] + s.near_y[u] * inverse);
+    const float z = s.scale[u] * (found + offset);
+    if (!(z > 0) || !std::isfinite(z)) return kNaN;
+    const float change = 1 / z - inverse;
+    // Else what was found lies elsewhere in the image than where it was looked for.
+    if (squared * change * change < kLeastShift * kLeastShift) return z;
+    inverse += change;
   }
+  return kNaN;
 }
 
 }  // namespace rgbd_slam

@@ -6,6 +6,7 @@
 
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/geometry.h"
+#include "depth_lookup.h"
 
 namespace rgbd_slam {
 
@@ -39,6 +40,8 @@ class DepthCarrier {
   std::vector<Node> displacements(const air_ground_common::Pose& T_image_depth) const;
   /// `offset`: of a depth found, before it is scaled [m].
   void carryRow(const cv::Mat& depth, int v, const std::vector<Node>& row, float offset, float* out);
+  /// Of pixel u, by the depth `found` where it was looked for first [m]; NaN where it is not known.
+  float settled(const DepthImage& image, int u, float offset, float found) const;
 
   air_ground_common::CameraModel camera_;
   std::vector<int> columns_, rows_;    ///< pixels of the grid's nodes
