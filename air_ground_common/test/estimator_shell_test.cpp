@@ -21,6 +21,10 @@
 namespace air_ground_common::ros_utils {
 namespace {
 
+void waitWhile(const std::atomic<bool>& busy) {
+  while (busy) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+}
+
 /// Counts what it is given. Called by the shell with its lock held: what is not atomic is read after stop() alone.
 class StandIn : public Estimator {
  public:
@@ -45,8 +49,7 @@ class StandIn : public Estimator {
   }
   EstimatorResult process(const EstimatorFrame& frame) override {
     if (fail) throw std::runtime_error("this one is spoilt");
-    for (; held; std::this_thread::sleep_for(std::chrono::milliseconds(5))) {
-    }
+    waitWhile(held);
     if (frame.depth && frame.depth->encoding == "16UC1") ++depths;
     ++images;
     EstimatorResult result;
@@ -59,8 +62,8 @@ class StandIn : public Estimator {
   }
   std::function<std::vector<CloudPoint>()> mapForFile() override {
     return [this] {
-      for (++saving; slow; std::this_thread::sleep_for(std::chrono::milliseconds(5))) {
-      }
+      ++saving;
+      waitWhile(slow);
       return std::vector<CloudPoint>(1);
     };
   }

@@ -56,48 +56,52 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
   }
 }
 
+/// A row of noise that a frame of noise sees.
+struct NoiseRow {
+  explicit NoiseRow(unsigned seed) : random(seed) {
+    for (auto* of_image : {&image, &reference})
+      for (auto& v : *of_image) v = static_cast<std::uint8_t>(random());
+    kernels::packNeighborhoods(image.data(), width, height, packed.data());
+  }
+  static constexpr int width = 120, height = 40;
+  std::mt19937 random;
+  std::vector<std::uint8_t> image = std::vector<std::uint8_t>(width * height),
+                            reference = std::vector<std::uint8_t>(width);
+  std::vector<std::uint32_t> packed = std::vector<std::uint32_t>(width * height);
+  kernels::RowOfFrame frame{{3.2f, 20.4f, 1.f}, {0.97f, 0.01f, 1e-5f}, {9.f, 12.f, 0.02f}};
+};
+
 TEST(CostKernels, ASinglePixelIsThatOfItsRow) {
-  std::mt19937 random(8);
-  const int width = 120, height = 40;
-  std::vector<std::uint8_t> image(width * height), reference(width);
-  for (auto& v : image) v = static_cast<std::uint8_t>(random());
-  for (auto& v : reference) v = static_cast<std::uint8_t>(random());
-  std::vector<std::uint32_t> packed(image.size());
-  kernels::packNeighborhoods(image.data(), width, height, packed.data());
-  const kernels::RowOfFrame frame{{3.2f, 20.4f, 1.f}, {0.97f, 0.01f, 1e-5f}, {9.f, 12.f, 0.02f}};
+  const NoiseRow row(8);
   for (const float rho : {0.2f, 0.4f, 0.9f})
     for (int x = 5; x < 100; ++x) {
       std::uint16_t cost = 0;
-      kernels::addRowReference(reference.data(), x, x + 1, frame, &rho, 1, image.data(), width, &cost, 1);
+      kernels::addRowReference(row.reference.data(), x, x + 1, row.frame, &rho, 1, row.image.data(), row.width, &cost,
+                               1);
       // That one rounds the sample to a grey level, and a quarter of the square down.
-      EXPECT_NEAR(std::sqrt(kernels::squaredDifference(reference[x], x, rho, frame, packed.data(), width)),
-                  std::sqrt(4.0 * cost), 1.3);
+      EXPECT_NEAR(
+          std::sqrt(kernels::squaredDifference(row.reference[x], x, rho, row.frame, row.packed.data(), row.width)),
+          std::sqrt(4.0 * cost), 1.3);
     }
 }
 
 TEST(CostKernels, ManyPixelsAreAsOneByOne) {
-  std::mt19937 random(9);
-  const int width = 120, height = 40, n = 600, x0 = 8, x1 = 95;
-  std::vector<std::uint8_t> image(width * height), reference(width);
-  for (auto& v : image) v = static_cast<std::uint8_t>(random());
-  for (auto& v : reference) v = static_cast<std::uint8_t>(random());
-  std::vector<std::uint32_t> packed(image.size());
-  kernels::packNeighborhoods(image.data(), width, height, packed.data());
-  const kernels::RowOfFrame frame{{3.2f, 20.4f, 1.f}, {0.97f, 0.01f, 1e-5f}, {9.f, 12.f, 0.02f}};
+  const int n = 600, x0 = 8, x1 = 95;
+  NoiseRow row(9);
   std::vector<std::int32_t> x(n);
   std::vector<float> rho(n), sums(n, 7.f);
   for (int i = 0; i < n; ++i) {
-    x[i] = static_cast<std::int32_t>(random() % width);
-    rho[i] = 0.2f + 0.001f * static_cast<float>(random() % 700);
+    x[i] = static_cast<std::int32_t>(row.random() % row.width);
+    rho[i] = 0.2f + 0.001f * static_cast<float>(row.random() % 700);
   }
   for (const int dx : {-1, 2})
-    kernels::addSquaredDifferences(reference.data(), x.data(), rho.data(), n, dx, x0, x1, frame, packed.data(), width,
-                                   sums.data());
+    kernels::addSquaredDifferences(row.reference.data(), x.data(), rho.data(), n, dx, x0, x1, row.frame,
+                                   row.packed.data(), row.width, sums.data());
   for (int i = 0; i < n; ++i) {
     double expected = 7;
     for (const int u : {x[i] - 1, x[i] + 2})
       if (u >= x0 && u < x1)
-        expected += kernels::squaredDifference(reference[u], u, rho[i], frame, packed.data(), width);
+        expected += kernels::squaredDifference(row.reference[u], u, rho[i], row.frame, row.packed.data(), row.width);
     EXPECT_NEAR(sums[i], expected, 0.5) << x[i];
   }
 }
