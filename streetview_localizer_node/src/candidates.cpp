@@ -141,6 +141,7 @@ PointSource CandidateFinder::sourceOf(int index) const {
   source.position_stddev = p.position_stddev;
   source.orientation_stddev = p.orientation_stddev;
   source.model_lateral_stddev = settings_.model_lateral_stddev;
+  source.model_relief_stddev = settings_.model_relief_stddev;
   source.model_height_stddev = settings_.model_height_stddev;
   return source;
 }

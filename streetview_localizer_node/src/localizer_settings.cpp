@@ -53,6 +53,8 @@ void describe(air_ground_common::ParameterVisitor& v, StreetviewLocalizerSetting
   v("min_fusion_inliers", l.min_fusion_inliers, {0, 1}, "",
     "... and its share of that one's inliers: otherwise the first one stays");
   v("model_lateral_stddev", l.model_lateral_stddev, {0, 10}, "m", "of the city model's walls; Zurich: 0.1");
+  v("model_relief_stddev", l.model_relief_stddev, {0, 10}, "m",
+    "of reveals, balconies and ledges that the model lacks, over patches of 2 m; 0: the model has them");
   v("model_height_stddev", l.model_height_stddev, {0, 10}, "m", "of its heights; Zurich: 0.5");
   v.choice("covariance", l.covariance,
            {{"refined", CovarianceKind::kRefined}, {"monte_carlo", CovarianceKind::kMonteCarlo}},

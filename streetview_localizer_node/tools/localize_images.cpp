@@ -215,6 +215,9 @@ int main(int argc, char** argv) {
   app.add_option("--model-lateral-stddev", a.settings.model_lateral_stddev, "of the city model's walls [m]")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 10.0));
+  app.add_option("--model-relief-stddev", a.settings.model_relief_stddev, "of what the model lacks on its walls [m]")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 10.0));
   app.add_option("--model-height-stddev", a.settings.model_height_stddev, "of the city model's heights [m]")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 10.0));

@@ -59,6 +59,7 @@ struct StreetviewLocalizerSettings {
   double merge_position_stddev = 0.03;                   ///< [m]
   double merge_orientation_stddev = 0.115 * M_PI / 180;  ///< [rad]
   double model_lateral_stddev = 0.1;                     ///< of the city model's walls [m] (paper B, II.B)
+  double model_relief_stddev = 0.1;                      ///< of patches of a wall that the model takes for flat [m]
   double model_height_stddev = 0.5;                      ///< [m]
   CovarianceKind covariance = CovarianceKind::kRefined;  ///< kMonteCarlo needs pose.monte_carlo_samples
   /// A pose from fused points takes the place of the first one if it moved by no more than this in position and in

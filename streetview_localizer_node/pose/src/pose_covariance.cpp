@@ -85,7 +85,8 @@ double clusterInflation(const Matches& m, const std::vector<int>& inliers, const
 namespace {
 
 // Errors that many points share do not average out. The walls' offsets are estimated with the pose, from their spread
-// and the matches; the panorama's pose is not: the estimate moves with it, d(pose, offsets) = -P sum J' e_p dp.
+// and the matches; the panorama's pose is not: the estimate moves with it, d(pose, offsets) = -P sum J' e_p dp. So it
+// does with what stands out from the walls: estimated as well, but relief does not keep to the patches of this grid.
 Matrix6d totalCovariance(const Matches& m, const std::vector<int>& inliers, const std::vector<Row>& rows,
                          const Matrix6d& information, double variance, const PointSource& source) {
   std::map<int, int> column_of;
@@ -93,6 +94,7 @@ Matrix6d totalCovariance(const Matches& m, const std::vector<int>& inliers, cons
     if (source.model_lateral_stddev > 0) column_of.try_emplace(m.wall[i], 6 + static_cast<int>(column_of.size()));
   const int size = 6 + static_cast<int>(column_of.size());
   Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(size, size), by_source = Eigen::MatrixXd::Zero(size, 6);
+  std::map<Patch, Eigen::VectorXd> by_patch;
   joint.topLeftCorner<6, 6>() = information;
   for (int w = 6; w < size; ++w) joint(w, w) = 1 / (source.model_lateral_stddev * source.model_lateral_stddev);
   for (std::size_t k = 0; k < rows.size(); ++k) {
@@ -101,9 +103,12 @@ Matrix6d totalCovariance(const Matches& m, const std::vector<int>& inliers, cons
         rows[k].by_point * castJacobian(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
     const Eigen::Matrix<double, 6, 2> pose = rows[k].by_pose.transpose() / variance;
     by_source.topRows<6>() += pose * moved.leftCols<6>();
+    Eigen::VectorXd& by_relief = by_patch.try_emplace(patchOf(m, i), Eigen::VectorXd::Zero(size)).first->second;
+    by_relief.head<6>() += pose * moved.col(6);
     const auto wall = column_of.find(m.wall[i]);
     if (wall == column_of.end()) continue;
     const Eigen::RowVector2d offset = moved.col(6).transpose() / variance;
+    by_relief[wall->second] += offset.dot(moved.col(6));
     joint.block<6, 1>(0, wall->second) += pose * moved.col(6);
     joint.block<1, 6>(wall->second, 0) += offset * rows[k].by_pose;
     joint(wall->second, wall->second) += offset * moved.col(6);
@@ -116,6 +121,10 @@ Matrix6d totalCovariance(const Matches& m, const std::vector<int>& inliers, cons
   source_variance.tail<3>().setConstant(source.orientation_stddev * source.orientation_stddev);
   Matrix6d total = factor.solve(Eigen::MatrixXd::Identity(size, 6)).topRows<6>();
   total += gain * source_variance.asDiagonal() * gain.transpose();
+  for (const auto& patch : by_patch) {
+    const Vector6 moved = source.model_relief_stddev * factor.solve(patch.second).head<6>();
+    total += moved * moved.transpose();
+  }
   total(2, 2) += source.model_height_stddev * source.model_height_stddev;
   return 0.5 * (total + total.transpose());
 }

@@ -26,8 +26,8 @@ void require(bool good, const std::string& what) {
 
 void validate(const PointSource& source) {
   require(source.position.allFinite(), "point source: the position is not finite");
-  for (const double s :
-       {source.position_stddev, source.orientation_stddev, source.model_lateral_stddev, source.model_height_stddev}) {
+  for (const double s : {source.position_stddev, source.orientation_stddev, source.model_lateral_stddev,
+                         source.model_relief_stddev, source.model_height_stddev}) {
     require(std::isfinite(s) && s >= 0, "point source: a standard deviation is negative or not finite");
   }
 }

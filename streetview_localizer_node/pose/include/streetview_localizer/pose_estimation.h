@@ -23,6 +23,7 @@ struct PointSource {
   double position_stddev = 0.12;                       ///< of its registered position [m] (paper B, II.B)
   double orientation_stddev = 0.0083;                  ///< of its registered orientation [rad], 0.476 degrees
   double model_lateral_stddev = 0.1;  ///< of a wall along its normal, common to all points of that wall [m]
+  double model_relief_stddev = 0.1;   ///< of a wall's relief that the model lacks, common to patches of 2 m [m]
   double model_height_stddev = 0.5;   ///< of the model with all that is registered to it [m]
 };
 
