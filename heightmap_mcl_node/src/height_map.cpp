@@ -5,6 +5,7 @@
 #include <map>
 #include <stdexcept>
 #include <string>
+#include <unordered_map>
 #include <utility>
 
 #include "columns.h"
@@ -19,6 +20,12 @@ using Bin = std::pair<long, long>;
 Bin binOf(const Eigen::Vector3f& p, double edge) {
   return {static_cast<long>(std::floor(p.x() / edge)), static_cast<long>(std::floor(p.y() / edge))};
 }
+
+struct BinHash {
+  std::size_t operator()(const Bin& bin) const {
+    return static_cast<std::size_t>(bin.first) * 73856093U ^ static_cast<std::size_t>(bin.second) * 19349663U;
+  }
+};
 
 bool isUsable(const Eigen::Vector3f& p) { return p.allFinite() && p.cwiseAbs().maxCoeff() <= kFarthest; }
 
@@ -76,7 +83,7 @@ std::vector<Eigen::Vector3f> withoutHiddenTops(const std::vector<Eigen::Vector3f
   if (points.size() != hidden_from.size())
     throw std::invalid_argument("withoutHiddenTops: as many heights as points are needed");
   const auto isHidden = [&](std::size_t i) { return !std::isnan(hidden_from[i]) && isUsable(points[i]); };
-  std::map<Bin, std::vector<float>> heights;  // of cells with hidden points
+  std::unordered_map<Bin, std::vector<float>, BinHash> heights;  // of cells with hidden points
   for (std::size_t i = 0; i < points.size(); ++i)
     if (isHidden(i)) heights[binOf(points[i], resolution)];
   if (heights.empty()) return points;
