@@ -268,6 +268,20 @@ class Documentation(unittest.TestCase):
                 known = [word for word in given if word.partition(':=')[0] in arguments(launch)]
                 self.assertEqual(self.parameters(launch, known, names), {name: {'depth_registered': True, 'accel_topic': '/accel'}.get(name, 'raw') for name in names}, launch)
 
+    def test_frames_whose_names_are_numbers(self):
+        """As drivers of depth cameras have had them ('0'): a node that asks for a name finds a number, and ends."""
+        needed = {'bag': 'x.bag', 'db': 'x.gpkg', 'database': 'x.gpkg', 'images': '/photographs', 'camera': '/camera.yaml', 'compare_magnetometer': 'true'}
+        for launch in LAUNCH_FILES:
+            known = arguments(launch)
+            frames = {name: str(number) for number, name in enumerate(sorted(name for name in known if name.endswith('_frame')))}
+            given = [f'{name}:={value}' for name, value in {**needed, **frames}.items() if name in known]
+            config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
+            told = {name: p.value for name, p in config.params.items() if name.endswith('_frame') and str(p.value).isdigit()}
+            self.assertEqual({name: value for name, value in told.items() if not isinstance(value, str)}, {}, launch)
+            words = [word for node in config.nodes if node.type == 'publish_images' for word in node.args.split()]
+            passed = {word for option, word in zip(words, words[1:]) if option in ('--frame', '--base-frame')}
+            self.assertEqual(set(told.values()) | passed, set(frames.values()), launch)
+
     def parameters(self, launch, given, names):
         """Of the first node that a launch file starts with these."""
         config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)

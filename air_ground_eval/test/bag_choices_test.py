@@ -1,17 +1,21 @@
 #!/usr/bin/env python3
-"""check_bag where a bag holds more than one topic that would do: which IMU, which reference poses; and what it says of an IMU that is too slow."""
+"""check_bag where a bag holds more than one topic that would do: which IMU, which reference poses; what it says of an IMU that is too slow, of messages that ROS 2 defined, and of
+those that were recorded at another time or are too few."""
 import contextlib
 import io
 import os
 import re
+import shlex
 import sys
 import unittest
 from unittest import mock
 
+import genpy.dynamic
 import numpy as np
+import rosbag
 import rosunit
 from geometry_msgs.msg import PointStamped
-from sensor_msgs.msg import FluidPressure
+from sensor_msgs.msg import CameraInfo, FluidPressure
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
@@ -34,8 +38,17 @@ def pressure(value):
     return message
 
 
+def info_of_ros_2(t):
+    """Whose fields are d, k, r and p."""
+    text = re.sub(r'(?m)^(float64\[\d*\] +)([DKRP])\b', lambda found: found[1] + found[2].lower(), CameraInfo._full_text)
+    message = genpy.dynamic.generate_dynamic('sensor_msgs/CameraInfo', text)['sensor_msgs/CameraInfo'](width=64, height=48, k=[60, 0, 32, 0, 60, 24, 0, 0, 1])
+    message.header.stamp, message.header.frame_id = messages.stamp(t), 'eye'
+    return message
+
+
 class BagChoices(unittest.TestCase):
     setUp, path, check, assert_arguments = BagLayouts.setUp, BagLayouts.path, BagLayouts.check, BagLayouts.assert_arguments
+    warned = BagLayouts.warned
 
     def recording(self, *mountings):
         return Recording(self.path(), mountings)
@@ -148,6 +161,81 @@ class BagChoices(unittest.TestCase):
         self.assertIn('WARNING /mavros/imu/diff_pressure: its median pressure is 120, not between 20 and 120 kPa', self.check('--city', '--map', 'barometer_pressure:=/mavros/imu/diff_pressure')[1])
         recording.add('/hpa', 10, pressure(958.0))
         self.assertIn('WARNING /hpa: its median pressure is 958, not between 20 and 120 kPa', self.check('--city', '--map', '/hpa:=/barometer')[1])
+
+    def test_calibration_as_ros_2_defines_it(self):
+        """As converters write it unless told otherwise: no node takes it, and no guess may rest on it."""
+        recording = self.recording(('base_link', 'eye'))
+        for folder, encoding in (('/camera/color', 'rgb8'), ('/camera/aligned_depth_to_color', '16UC1')):
+            recording.camera(f'{folder}/image_raw', encoding, 'eye', info=False).add(f'{folder}/camera_info', 20, info_of_ros_2)
+        status, output, command = self.check()
+        self.assertEqual(status, 1, output)
+        self.assert_arguments(command, ground_image='/camera/color/image_raw', ground_depth='/camera/aligned_depth_to_color/image_raw', ground_depth_registered=None)
+        errors = [line for line in output.splitlines() if line.startswith('ERROR')]
+        self.assertEqual(len(errors), 2, output)
+        for error, topic in zip(errors, ('/camera/color/camera_info', '/camera/aligned_depth_to_color/camera_info')):
+            self.assertIn(f'{topic}: no node takes it', error)
+            self.assertIn('--dst-typestore ros1_noetic', error)
+
+    def flight(self):
+        return self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu')
+
+    def test_what_was_recorded_at_another_time_is_named(self):
+        """A message that was added with the time of another clock, and a clock that jumped; 61 s are told from 59 s."""
+        with mock.patch.object(messages, 'stamp', side_effect=lambda t, stamp=messages.stamp: stamp(t + 1.6e9)):
+            for topic, away, named in (('/tf_static', 1e8, True), ('/tf_static', -1e8, True), ('/imu0', 1e8, True), ('/imu0', -1e8, True), ('/tf_static', 64, True), ('/tf_static', 59, False)):
+                self.flight()
+                with rosbag.Bag(self.path(), 'a') as bag:
+                    message = messages.imu((0, 0, 0), (0, 0, 9.81), 1e-6, 1e-4, 101, 'imu') if topic == '/imu0' else messages.static_transforms([('base_link', 'lidar', np.eye(4))], 101)
+                    bag.write(topic, message, messages.stamp(100 + away))
+                status, output, _ = self.check()
+                self.assertEqual(status, 0, output)
+                self.assertEqual(self.warned(output, f'{topic} (1)'), named, output)
+                facts = bag_reader.BagFacts(self.path())
+                if named:
+                    self.assertEqual(facts.elsewhen, {topic: 1})
+                    np.testing.assert_allclose([facts.begin, facts.end], [1.6e9 + (100 if topic == '/imu0' or away > 0 else 99), 1.6e9 + 101.995], atol=1.01)
+                    words = shlex.split(next(line for line in output.splitlines() if 'rosbag filter' in line).partition('rosbag filter')[2])
+                    self.assertEqual(words[:2], [self.path(), 'NEW.bag'])
+                    kept = [eval(words[2], {'t': time}) for *_, time in rosbag.Bag(self.path()).read_messages()]  # as rosbag filter does
+                    self.assertEqual((kept.count(False), kept.count(True)), (1, sum(facts.counts.values()) - 1))
+
+    def test_robots_that_were_recorded_years_apart(self):
+        """Neither is a stray message: one of them may have had no clock."""
+        recording = self.recording(('base', 'eye'), ('body', 'cam'), ('body', 'imu')).camera('/camera/color/image_raw', 'rgb8', 'eye').camera('/camera/aligned_depth_to_color/image_raw', '16UC1', 'eye')
+        with mock.patch.object(messages, 'stamp', side_effect=lambda t, stamp=messages.stamp: stamp(t + 1.6e9)):
+            recording.camera('/drone/image_raw', 'mono8', 'cam').imu('/drone/imu', 'imu')
+        status, output, _ = self.check()
+        self.assertEqual(status, 0, output)
+        self.assertEqual(bag_reader.BagFacts(self.path()).elsewhen, {})
+        self.assertTrue(self.warned(output, 'one after the other'), output)
+
+    def test_what_nobody_needs_is_no_error(self):
+        """Reference poses and sensors that the nodes do without: too few of them, or without stamps."""
+        for topic, message, city in (('/ground_truth/mav', lambda t: messages.pose_stamped(np.eye(4), t, 'world'), False), ('/barometer', pressure(95800.0), True)):
+            for count, text in ((1, f'{topic} holds 1 message(s)'), (20, f'{topic}: 20 of 20 messages have no stamp')):
+                self.flight()
+                with rosbag.Bag(self.path(), 'a') as bag:
+                    for i in range(count):
+                        bag.write(topic, message(101 if count == 1 else 0), messages.stamp(100 + 0.1 * i))
+                status, output, _ = self.check(*(['--city'] if city else []))
+                self.assertEqual(status, 0, output)
+                self.assertTrue(self.warned(output, text), output)
+        self.flight().add('/vicon/start', 0.5, lambda t: messages.pose_stamped(np.eye(4), t, 'world'))
+        self.assert_arguments(self.check()[2], mav_truth=None)  # a mark of where it began
+        for message, text in ((101, 'holds 1 message(s)'), (0, 'have no stamp')):
+            recording = self.recording(('ground_base_link', 'eye'), ('ground_base_link', 'imu')).camera('/ground/rgb/image_raw', 'rgb8', 'eye').camera('/ground/depth/image_raw', '16UC1', 'eye')
+            recording.add('/ground/imu/data', 0.5 if message else 200, lambda t, message=message: messages.imu((0, 0, 0), (0, 0, 9.81), 1e-6, 1e-4, message, 'imu'))
+            status, output, command = self.check()
+            self.assertEqual(status, 0, output)
+            self.assertTrue(self.warned(output, text), output)
+            self.assert_arguments(command, ground_imu='none')  # images would wait for it
+
+    def test_one_calibration_for_all_images_whatever_its_name(self):
+        recording = self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam', info=False).imu('/imu0', 'imu')
+        recording.add('/cam0/calibration', 0.5, lambda t: messages.camera_info(CAMERA, t, 'cam'))
+        status, output, _ = self.check('--map', '/cam0/calibration:=mav_camera_info')
+        self.assertEqual(status, 0, output)
+        self.assertIn('ok      /cam0/calibration: 1 message, taken for all images', output)
 
     def test_as_the_nodes_have_it(self):
         def constant(name, *path):

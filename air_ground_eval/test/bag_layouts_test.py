@@ -238,6 +238,8 @@ class BagLayouts(unittest.TestCase):
         status, output, command = self.check()
         self.assertEqual(status, 0, output)
         self.assert_arguments(command, mav_image='/airsim_node/Drone1/front/Scene', mav_camera_info='/airsim_node/Drone1/front/camera_info', ground_depth=None)
+        recording.add('/airsim_node/Drone1/front/Scene/camera_info', 20, lambda t: messages.camera_info(CAMERA, t, 'front'))  # where AirSim itself has it
+        self.assert_arguments(self.check()[2], mav_camera_info='/airsim_node/Drone1/front/Scene/camera_info')
 
     def test_a_camera_alone_is_its_own_base(self):
         Recording(self.path()).camera('/camera/image_raw', 'mono8', 'cam')
@@ -413,7 +415,7 @@ class BagLayouts(unittest.TestCase):
         os.mkdir(self.path('ros2'))
         with open(self.path('ros2/metadata.yaml'), 'w', encoding='ascii') as file:
             file.write('rosbag2_bagfile_information:')
-        self.assertIn('rosbags-convert', self.check(path=self.path('ros2'))[1])
+        self.assertIn('rosbags-convert --src FOLDER --dst x.bag --dst-typestore ros1_noetic', self.check(path=self.path('ros2'))[1])
 
     def test_parts_are_joined_and_stamps_mended(self):
         first = Recording(self.path('x_0.bag'), [('mav_base_link', 'cam'), ('mav_base_link', 'imu')])

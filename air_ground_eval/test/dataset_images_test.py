@@ -1,6 +1,9 @@
 #!/usr/bin/env python3
 """dataset_to_bag: depth in floating point or 32 bits, images with a palette, what is no measurement; and no bag is overwritten unasked."""
 import os
+import resource
+import signal
+import subprocess
 import sys
 import unittest
 import warnings
@@ -120,6 +123,24 @@ class DatasetImages(unittest.TestCase):
         with open(self.bag, encoding='utf-8') as stream:
             self.assertEqual(stream.read(), 'a flight of mine')
         self.assertTrue(np.all(self.millimetres() == 2370))  # with --force
+
+    def test_a_bag_that_cannot_be_written(self):
+        """Said in one line, before anything is read where that is known by then; what lies there stays."""
+        self.scene(np.full((HEIGHT, WIDTH), 2370, np.uint16), 'png')
+        names = sorted(os.listdir(self.inside()))
+        program = [sys.executable, os.path.join(HERE, '..', 'scripts', 'dataset_to_bag'), '--ground', self.inside('scene'), '--out', self.bag]
+
+        def full():
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (10000, 10000))
+
+        result = subprocess.run(program, capture_output=True, text=True, check=False, preexec_fn=full)
+        self.assertEqual((result.returncode, result.stderr.strip()), (1, f'dataset_to_bag: --out: {self.bag} cannot be written (File too large)'))
+        self.assertEqual(sorted(os.listdir(self.inside())), names)
+        os.makedirs(self.bag + '.part')
+        result = convert('--ground', self.inside('no such scene'), '--out', self.bag)
+        self.assertEqual((result.returncode, result.stderr), (1, f'dataset_to_bag: --out: {self.bag}.part cannot be written (Is a directory)\n'))
+        self.assertTrue(os.path.isdir(self.bag + '.part'))
 
 
 if __name__ == '__main__':

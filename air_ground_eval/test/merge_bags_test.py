@@ -151,9 +151,28 @@ class MergeBags(unittest.TestCase):
                     bag.write('/camera/image_raw', messages.image(np.zeros((48, 64)), 'mono8', 1, 'camera'), messages.stamp(1))
                     bag.write('/odom' if info else '/scan', messages.text(''), messages.stamp(1))
                     if info:
-                        bag.write('/camera/camera_info', messages.camera_info(CAMERA, 1, 'camera'), messages.stamp(1))
+                        for folder_of_info in ('/camera', '/camera/image_raw'):  # beside it, or below it, as AirSim has it
+                            bag.write(f'{folder_of_info}/camera_info', messages.camera_info(CAMERA, 1, 'camera'), messages.stamp(1))
             parts = bag_merge.plan(*paths, begin_together=False)
-            self.assertEqual([part.topics for part in parts], [{t: f'/mav{t}' for t in ('/camera/image_raw', '/camera/camera_info')}, {'/camera/image_raw': '/ground/camera/image_raw'}])
+            self.assertEqual([part.topics for part in parts], [{t: f'/mav{t}' for t in ('/camera/image_raw', '/camera/camera_info', '/camera/image_raw/camera_info')},
+                                                               {'/camera/image_raw': '/ground/camera/image_raw'}])
+
+    def test_names_without_slash_are_those_with_one(self):
+        """As rosbag's and rosbags' writers keep them: `imu` became /mavimu, and `tf_static` one robot's."""
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))
+            for path, slash, frame in ((mav, '', 'cam'), (ground, '/', 'eye')):
+                with rosbag.Bag(path, 'w') as bag:
+                    bag.write(f'{slash}imu', messages.imu([0, 0, 0], [0, 0, 9.81], 1, 1, 5, 'imu'), messages.stamp(5))
+                    bag.write(f'{slash}eye/image_raw', messages.image(np.zeros((48, 64)), 'mono8', 5, frame), messages.stamp(5))
+                    bag.write('tf_static', messages.static_transforms([('base_link', frame, np.eye(4))], 5), messages.stamp(5))
+                    bag.write(f'{frame}/text', messages.text(''), messages.stamp(5))
+            parts = bag_merge.plan(mav, ground, begin_together=False)
+            self.assertEqual([part.topics for part in parts], [{'imu': '/mav/imu', 'eye/image_raw': '/mav/eye/image_raw'}, {'/imu': '/ground/imu', '/eye/image_raw': '/ground/eye/image_raw'}])
+            bag_merge.merge(parts, both)
+            facts = bag_reader.BagFacts(both)
+            self.assertEqual(facts.counts, {'/tf_static': 2, '/cam/text': 1, '/eye/text': 1, **{f'/{robot}/{topic}': 1 for robot in ('mav', 'ground') for topic in ('imu', 'eye/image_raw')}})
+            self.assertEqual(set(facts.edges), {('mav_base_link', 'cam'), ('ground_base_link', 'eye')})
 
     def test_times_stay_unless_asked(self):
         with tempfile.TemporaryDirectory() as folder:
@@ -257,6 +276,11 @@ class MergeBags(unittest.TestCase):
                 self.assertEqual(result.returncode, 1, result.stdout + result.stderr)
                 self.assertIn(f'{both} cannot be written', result.stdout)
                 self.assertEqual(sorted(os.listdir(folder)), names)
+            os.mkdir(both + '.part')
+            result = run('merge_bags', mav, ground, both)
+            self.assertEqual((result.returncode, result.stderr), (1, ''))
+            self.assertIn(f'{both} cannot be written (Is a directory)', result.stdout)
+            os.rmdir(both + '.part')
             with self.assertRaises(KeyboardInterrupt):
                 bag_merge.merge([Interrupted()], both)
             self.assertEqual(sorted(os.listdir(folder)), names)

@@ -15,20 +15,21 @@ import rosbag
 import rospy
 import rosunit
 from roslib.packages import find_node
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import messages, replay  # noqa: E402
+from air_ground_eval import bag_player, bag_reader, messages, replay  # noqa: E402
 
 IMAGES = 10
 
 
-def write_bag(path):
-    """A second of images with their calibration."""
+def write_bag(path, begin=100.0, pause=0.0):
+    """A second of images with their calibration; the second half comes after a pause [s]."""
     with rosbag.Bag(path, 'w') as bag:
         for i in range(IMAGES):
-            t = 100 + 0.1 * i
+            t = begin + 0.1 * i + (pause if 2 * i >= IMAGES else 0)
             bag.write('/mav/camera/image_raw', messages.image(np.zeros((8, 8)), 'mono8', t, 'camera'), messages.stamp(t))
             info = CameraInfo(width=8, height=8)
             info.header.stamp = messages.stamp(t)
@@ -73,6 +74,39 @@ class PlayBag(unittest.TestCase):
                 time.sleep(0.1)
             subscriber.unregister()
         self.assertEqual(heard, [round(100 + 0.1 * i, 3) for i in range(IMAGES)])
+
+    def test_no_message_of_another_time_is_waited_for(self):
+        """One that was added with another clock's time, before or after the others, on a topic that nobody hears or among the images; and a pause of a day, as between two robots' recordings."""
+        begin = 1.6e9
+        for number, (topic, away, pause) in enumerate((('/tf_static', 1e8, 0), ('/tf_static', -1e8, 0), ('/mav/camera/image_raw', 1e8, 0), ('/mav/camera/image_raw', -1e8, 0), ('', 0, 86400))):
+            with self.subTest(topic=topic, away=away, pause=pause), tempfile.TemporaryDirectory() as folder:
+                path = os.path.join(folder, 'x.bag')
+                write_bag(path, begin, pause)
+                if topic:
+                    message = messages.static_transforms([('base', 'lidar', np.eye(4))], begin) if topic == '/tf_static' else messages.image(np.zeros((8, 8)), 'mono8', begin, 'stray')
+                    with rosbag.Bag(path, 'a') as bag:
+                        bag.write(topic, message, messages.stamp(begin + away))
+                heard, clock = [], []
+                subscribers = [rospy.Subscriber('/mav/camera/image_raw', Image, lambda m: heard.append((m.header.stamp.to_sec() - begin, m.header.frame_id)), queue_size=100),
+                               rospy.Subscriber('/clock', Clock, lambda m: clock.append(m.clock.to_sec() - begin), queue_size=1000)]
+                facts = bag_reader.BagFacts(path)
+                player = bag_player.BagPlayer(facts, name=f'player_{number}')
+                try:
+                    self.assertTrue(player.wait_until_ready())
+                    time.sleep(1)  # until all are connected
+                    player.pause(False)
+                    end = time.monotonic() + 15
+                    while player.running() and time.monotonic() < end:
+                        time.sleep(0.05)
+                    self.assertFalse(player.running())
+                    time.sleep(0.5)
+                finally:
+                    player.stop()
+                    for subscriber in subscribers:
+                        subscriber.unregister()
+                np.testing.assert_allclose([t for t, _ in heard], [0.1 * i + (pause if 2 * i >= IMAGES else 0) for i in range(IMAGES)], atol=1e-6)
+                self.assertEqual({frame for _, frame in heard}, {'camera'})
+                self.assertTrue(-0.1 < min(clock) and max(clock) < pause + 1, (min(clock), max(clock)))
 
     @staticmethod
     def waited(listens_after, says):

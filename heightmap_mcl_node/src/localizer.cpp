@@ -322,7 +322,7 @@ void HeightMapLocalizer::estimateFromPlaces(bool new_map) {
   const PlanarPose mean = changeReference(mode.mean, filter_.reference(), centerOf(map));
   const auto found = search().find(map, volume, {mean, evidence_->place(), floor_rivals_});
   if (!found) {
-    e.reason = "nothing fits near the initial guess";
+    e.reason = "nothing fits near the initial guess: give another (initialpose), or none (call relocalize)";
     return;
   }
   score_ = found->best.agreement.score;

@@ -1,12 +1,13 @@
 """Checks of a bag against what the nodes need: topics, types, rates, stamps, calibration, IMU units, frames, transforms."""
 import os
 import re
+import shlex
 
 import numpy as np
 
 from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_names, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
-from .bag_reader import POSE_TYPES, BagFacts, open_bag
+from .bag_reader import APART, POSE_TYPES, BagFacts, open_bag
 from .bag_registration import Registration
 
 # standard topic: (types, least rate [Hz], who needs it)
@@ -151,7 +152,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += bag_frames.check_static(facts)
     frames = {robot: {frame.lstrip('/') for standard, topic in present.items() if standard.startswith(f'/{robot}/') for frame in streams[topic].frames} for robot in robots}
     findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases, frames)
-    findings += own_outputs.check(facts) + _parts(facts)
+    findings += own_outputs.check(facts) + _elsewhen(facts) + _parts(facts)
     registration = _registration(present, streams)
     findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '')
     without_imu = '/ground/imu/data' not in present or any(f.argument == bag_imu.without('/ground/imu/data') for f in findings)
@@ -200,15 +201,17 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
 def _stamps(standard, topic, stream, least_rate):
     stamps = np.array(stream.stamps)
     result = []
-    if len(stamps) == 1 and not least_rate and 'camera_info' in topic:
+    level, without = (WARNING, bag_imu.without(standard)) if standard in OPTIONAL else (ERROR, '')
+    instead = f': replay without it, {without}' if without else ''
+    if len(stamps) == 1 and standard.endswith('camera_info'):
         return [Finding(OK, f'{topic}: 1 message, taken for all images')]
     if len(stamps) < 2:
-        return [Finding(ERROR, f'{topic} holds {len(stamps)} message(s)')]
+        return [Finding(level, f'{topic} holds {len(stamps)} message(s){instead}', without)]
     if np.any(stamps <= 0) and stream.samples[0]._type == 'sensor_msgs/CameraInfo':
         return [Finding(OK, f'{topic}: {len(stamps)} messages without stamp: each holds until the next one')]
     if np.any(stamps <= 0):
-        return [Finding(ERROR, f'{topic}: {np.count_nonzero(stamps <= 0)} of {len(stamps)} messages have no stamp (header.stamp is zero), and the nodes drop these: set it in the driver, or by '
-                        f'rosrun air_ground join_bags BAG OUT --restamp {topic}, which goes by the others\' stamps or, where most have none, by the times of recording')]
+        return [Finding(level, f'{topic}: {np.count_nonzero(stamps <= 0)} of {len(stamps)} messages have no stamp (header.stamp is zero), and the nodes drop these: set it in the driver, or by '
+                        f'rosrun air_ground join_bags BAG OUT --restamp {topic}, which goes by the others\' stamps or, where most have none, by the times of recording{instead}', without)]
     if stream.unstamped:
         result.append(Finding(WARNING, f'{topic}: {stream.unstamped} of {len(stamps) + stream.unstamped} messages have no stamp (header.stamp is zero): the nodes drop these, so few do no harm; '
                               f'rosrun air_ground join_bags BAG OUT --restamp {topic} gives them stamps between the others\', which stay as they are'))
@@ -282,7 +285,7 @@ def _pairs(present, streams):
 def registered(facts, names):
     """Whether depth is as the colour camera sees it, by the first images and calibrations; True without any."""
     present = {standard: bag_guess.recorded(facts, names.get(standard, standard)) for standard in REGISTRATION[:2]}
-    present.update({standard: names[standard] for standard in REGISTRATION[2:] if facts.counts.get(names.get(standard))})
+    present.update({standard: names[standard] for standard in REGISTRATION[2:] if facts.counts.get(names.get(standard)) and names[standard] not in facts.foreign})
     if None in present.values():
         return True
     streams = {topic: Stream() for topic in present.values()}
@@ -328,7 +331,7 @@ def _clocks(present, streams):
             spans[robot] = (min(stream.stamps), max(stream.stamps), min(stream.times), max(stream.times))
             imu = streams.get(present.get(f'/{robot}/imu/data'))
             begin, end, *_ = spans[robot]
-            if imu and imu.stamps and min(begin, min(stream.times)) > 0 and (max(imu.stamps) < begin or end < min(imu.stamps)):
+            if imu and imu.stamps and min(begin, min(stream.times), min(imu.stamps)) > 0 and (max(imu.stamps) < begin or end < min(imu.stamps)):
                 result.append(Finding(ERROR, f'{present[standard]} is stamped {begin:.1f} to {end:.1f} s, {present[f"/{robot}/imu/data"]} {min(imu.stamps):.1f} to '
                                       f'{max(imu.stamps):.1f} s: two clocks. Let both drivers stamp by one, or take the time of recording: rosrun air_ground join_bags BAG OUT --restamp TOPIC'))
     if len(spans) < 2:
@@ -339,7 +342,18 @@ def _clocks(present, streams):
     if mav[2] <= ground[3] and ground[2] <= mav[3]:
         return result + [Finding(WARNING, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
                         f'{ground[1]:.1f} s (ground robot), {abs(mav[0] - ground[0]):.1f} s apart. The alignment of their maps needs no common clock, but who looks up on tf where the MAV is in the ground map: synchronise them (chrony, ntp)')]
-    return result + [Finding(WARNING, 'the robots were recorded one after the other: the replay runs through the pause between them')]
+    return result + [Finding(WARNING, 'the robots were recorded one after the other: the replay leaps over the pause between them')]
+
+
+def _elsewhen(facts):
+    """What was recorded at another time than the sensors' messages."""
+    if not facts.elsewhen:
+        return []
+    names = [f'{topic} ({count})' for topic, count in sorted(facts.elsewhen.items())]
+    away = max(facts.begin - facts.recorded[0], facts.recorded[1] - facts.end)
+    return [Finding(WARNING, f'recorded more than {APART:.0f} s before all images and IMU readings, or after them ({away:.0f} s at the most): {", ".join(names[:6])}{" ..." if len(names) > 6 else ""}. '
+                    'Was the clock set meanwhile, or were they added? A replay leaves them out, but for static transforms; rosbag play would wait until then: '
+                    f'rosbag filter {shlex.quote(facts.path)} NEW.bag "{facts.begin} <= t.to_sec() <= {facts.end}"  writes a bag without them')]
 
 
 def _parts(facts):

@@ -129,15 +129,18 @@ def _may_fly(facts, topic, ground):
 
 
 def infos(facts, image):
-    """The topics with the calibration of an image topic: beside it, or where RealSense Viewer keeps it (Color_0/info beside Color_0/image)."""
-    parent = raw_name(image).rpartition('/')[0]
-    folders = (parent, re.sub('/image$', '/info', parent))
-    return [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rpartition('/')[0] in folders]
+    """The topics with the calibration of an image topic, the likeliest first: below it, as AirSim has it, else beside it, or where RealSense Viewer keeps it (Color_0/info beside
+    Color_0/image)."""
+    name = raw_name(image)
+    parent = name.rpartition('/')[0]
+    folders = (name, parent, re.sub('/image$', '/info', parent))
+    found = [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rpartition('/')[0] in folders]
+    return sorted(found, key=lambda t: t.rpartition('/')[0] != name)
 
 
 def _agreement(facts, colour, depth):
     """How well a colour camera's calibration is that of the depth registered to it: 2 where both are one, 1 for a rectified image whose depth is without distortion, else 0."""
-    known = [[facts.first_message(t) for t in infos(facts, topic)[:1]] for topic in (colour, depth)]
+    known = [[facts.first_message(t) for t in infos(facts, topic)[:1] if t not in facts.foreign] for topic in (colour, depth)]
     if not all(known):
         return 0
     a, b = (bag_camera.of_images(found[0], topic) for found, topic in zip(known, (colour, depth)))
@@ -182,6 +185,9 @@ class _Choices:
                 self.taken.add(topic)
         return self.names.get(standard)
 
+    def choose_first(self, standard, topics):
+        return self.choose(standard, topics, lambda topic: -topics.index(topic))
+
 
 def guess(facts, city=False, robots=('mav', 'ground'), given=None):
     """standard topic -> topic of the bag, for those that can be told; a standard topic that is there stays. robots: those that are in the bag; given: what is known."""
@@ -203,7 +209,7 @@ def guess(facts, city=False, robots=('mav', 'ground'), given=None):
         if names.get(CAMERAS[robot]) and robot in robots:
             _guess_sensors(facts, choices, robot)
     if '/ground/depth/image_raw' in names:  # beside colour in one folder, it may have none of its own
-        choices.choose('/ground/depth/camera_info', infos(facts, names['/ground/depth/image_raw']), lambda t: 0)
+        choices.choose_first('/ground/depth/camera_info', infos(facts, names['/ground/depth/image_raw']))
     if city:
         for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
             choices.choose(standard, facts.of_type(kind), lambda t: ('diff' not in t.lower(), has(t, MAV_WORDS)))  # differential pressure is of an airspeed sensor
@@ -229,7 +235,7 @@ def _guess_sensors(facts, choices, robot):
     image, others = choices.names[CAMERAS[robot]], [choices.names[c] for r, c in CAMERAS.items() if r != robot and choices.names.get(c)]
     own, other = (MAV_WORDS, GROUND_WORDS) if robot == 'mav' else (GROUND_WORDS, MAV_WORDS)
     other = other if others else NO_WORDS
-    choices.choose(CAMERAS[robot].replace('image_raw', 'camera_info'), infos(facts, image), lambda t: 0)
+    choices.choose_first(CAMERAS[robot].replace('image_raw', 'camera_info'), infos(facts, image))
     imus, connected = _mounted(facts, [t for t in facts.of_type('sensor_msgs/Imu') if not has(t, other)], image, others)
     doubt = others and not connected
     imu = choices.choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t.lower()],
@@ -237,7 +243,7 @@ def _guess_sensors(facts, choices, robot):
                                     'gyro' not in t.lower()))
     if imu is not None and 'gyro' in imu.lower():
         choices.choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t.lower()], lambda t: _common(t, imu))
-    choices.choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if has(t, TRUTH_WORDS) and not has(t, other)],
+    choices.choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if has(t, TRUTH_WORDS) and not has(t, other) and facts.counts[t] > 1],
                    lambda t: (bool(others and has(t, own)), facts.types[t] not in POSITION_TYPES, has(t, own)))
 
 

@@ -66,6 +66,9 @@ class Part:
     def end(self):
         return self.last + self.shift.to_sec()
 
+    def topic(self, name):
+        return self.topics.get(name, _with_slash(name))
+
     def frame(self, name):
         return self.frames.get(name.lstrip('/'), name)
 
@@ -99,10 +102,10 @@ class Part:
         window.update({} if self.last == self.facts.end else dict(end_time=last - genpy.Duration(0, 1)))
         with open_bag(self.facts.path) as bag:
             for topic, message, header in () if self.whole else self._held(bag, first):
-                yield (first + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message, topic), header
+                yield (first + self.shift).to_nsec(), order, self.topic(topic), self.changed(message, topic), header
             for topic, message, time, header in bag.read_messages(return_connection_header=True, **window):
-                if topic not in DROPPED and (self.whole or topic not in STATIC):
-                    yield (time + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message, topic), header
+                if _with_slash(topic) not in DROPPED and (self.whole or topic not in STATIC):
+                    yield (time + self.shift).to_nsec(), order, self.topic(topic), self.changed(message, topic), header
 
     def _held(self, bag, first):
         """What a stretch holds from its begin on, though it was recorded before, or, static transforms, at any time: (topic, message, connection header)."""
@@ -189,9 +192,14 @@ class Restamped:
                 yield time.to_nsec(), order, topic, message, header
 
 
+def _with_slash(topic):
+    """As nodes without namespace resolve what was recorded without one."""
+    return '/' + topic.lstrip('/')
+
+
 def _name(topic):
     """What a topic is of, whatever its transport."""
-    return topic[:-len('/theora')] if topic.endswith('/theora') else raw_name(topic)
+    return _with_slash(topic[:-len('/theora')] if topic.endswith('/theora') else raw_name(topic))
 
 
 def _folder(topic):
@@ -199,10 +207,10 @@ def _folder(topic):
 
 
 def renamed(parts):
-    """Of each part the topics that both name, in any transport. A camera's images and calibration are known by their folder: they stay together."""
+    """Of each part the topics that both name, in any transport. A camera's images and calibration are known by their folder, or the images' name: they stay together."""
     names = set.intersection(*({_name(topic) for topic in part.facts.types} for part in parts)) - set(SHARED)
     cameras = [{topic for topic, kind in part.facts.types.items() if kind in CAMERA_TYPES} for part in parts]
-    folders = {_folder(topic) for topic in set.union(*cameras) if _name(topic) in names}
+    folders = {folder for topic in set.union(*cameras) if _name(topic) in names for folder in (_folder(topic), _name(topic))}
     return [{topic for topic in part.facts.types if _name(topic) in names or topic in camera and _folder(topic) in folders} for part, camera in zip(parts, cameras)]
 
 
@@ -211,7 +219,7 @@ def plan(mav, ground, begin_together):
     parts = [Part('mav', mav), Part('ground', ground)]
     frames = frames_of(parts[0].facts) & (frames_of(parts[1].facts) - COMMON_FRAMES)
     for part, topics in zip(parts, renamed(parts)):
-        part.topics = {topic: f'/{part.robot}{topic}' for topic in topics}
+        part.topics = {topic: f'/{part.robot}{_with_slash(topic)}' for topic in topics}
         part.frames = {frame: f'{part.robot}_{frame}' for frame in frames}
     if begin_together:
         parts[1].shift = genpy.Duration.from_sec(parts[0].first - parts[1].first)
@@ -231,6 +239,6 @@ def merge(parts, out, compression='lz4'):
     except OSError as error:
         raise BagError(f'{out} cannot be written ({error.strerror or error})') from error
     finally:
-        if os.path.exists(partial):
+        if os.path.isfile(partial):
             os.remove(partial)
     return count

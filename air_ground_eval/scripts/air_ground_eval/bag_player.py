@@ -5,12 +5,14 @@ the union of all of them is published here, latched, for as long as the player l
 holds for those on /tf that never change. What else is on /tf is handed on but for the edges that say where a frame is that a node, or the static
 transforms, say otherwise: a frame with two parents leaves tf in pieces. A recorded /clock is left out. So is a static transform of a frame that another node
 publishes one of (publish_calibration): that one corrects the bag, and what it says on /tf. So are the topics that the launch's own nodes publish (own_outputs.py): a bag that was
-recorded while the suite ran holds that run's.
+recorded while the suite ran holds that run's. So is what was recorded at another time than the sensors' messages (BagFacts.elsewhen), and where nothing was recorded for a minute, the clock leaps:
+`rosbag play` would wait until then, for years where a clock was set.
 """
 import re
 import subprocess
 import time
 
+import numpy as np
 import rosgraph
 import rospy
 from roslib.packages import find_node
@@ -18,6 +20,7 @@ from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from . import own_outputs
+from .bag_reader import APART
 
 NAME = re.compile(r'[A-Za-z~/][A-Za-z0-9_/]*')  # of a topic, as ROS takes it; a recording may hold others, of which rosbag play dies
 SHOWN = 3  # topics that are named as left out
@@ -27,6 +30,16 @@ def playable(topics):
     """(those that can be played, those that cannot: their names are none in ROS), in order."""
     names = sorted(set(topics) - {'/clock'})
     return [t for t in names if NAME.fullmatch(t)], [t for t in names if not NAME.fullmatch(t)]
+
+
+def stretch(bag, start):
+    """Options of `rosbag play` for what lies between begin and end of the recording, from `start` [s] after its begin on."""
+    first, last = bag.recorded
+    skipped = start
+    if first < bag.begin:  # it counts from the first of all messages, and has 24 bits for that: rounded down
+        skipped = float(np.nextafter(np.float32(start + bag.begin - first), np.float32(0)))
+    most = [f'--duration={max(bag.end - first - skipped, 0) + 1}'] if bag.end < last else []
+    return [f'--start={skipped}', *most, f'--skip-empty={APART:.0f}']
 
 
 class StaticTransforms:
@@ -83,7 +96,7 @@ class BagPlayer:
         if static.transforms or '/tf' in bag.types:
             self.static = StaticTransforms(static)
         self.name = rospy.resolve_name(name)
-        command = find_node('rosbag', 'play')[:1] + ['--quiet', '--clock', '--hz=200', '--queue=2000', f'--rate={rate}', f'--start={start}', '--pause']
+        command = find_node('rosbag', 'play')[:1] + ['--quiet', '--clock', '--hz=200', '--queue=2000', f'--rate={rate}', *stretch(bag, start), '--pause']
         self.topics, others = playable(bag.types)
         if others:
             rospy.logwarn('%d topic(s) of the bag left out, whose names ROS does not take: %s%s', len(others), ', '.join(others[:SHOWN]), ' ...' if len(others) > SHOWN else '')

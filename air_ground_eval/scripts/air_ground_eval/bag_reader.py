@@ -15,6 +15,10 @@ from .truth import Reference
 from .video import is_video
 
 
+# Else messages keep the definitions of ROS 2.
+CONVERT = 'rosbags-convert --src FOLDER --dst x.bag --dst-typestore ros1_noetic'
+
+
 class BagError(Exception):
     """A bag that cannot be read: one line that says what to do."""
 
@@ -27,6 +31,9 @@ POSE_TYPES = {
     'geometry_msgs/TransformStamped': lambda m: (m.transform.translation, m.transform.rotation),
     'geometry_msgs/PointStamped': lambda m: (m.point, None)}  # of a total station
 POSITION_TYPES = ('geometry_msgs/PointStamped',)
+SENSOR_TYPES = ('sensor_msgs/Image', 'sensor_msgs/CompressedImage', 'theora_image_transport/Packet', 'sensor_msgs/CameraInfo', 'sensor_msgs/Imu')
+APART = 60.0  # [s]: what was recorded so long before all sensors' messages, or after them, is no part of a replay
+LEAP = 1e7  # [s]: no recording pauses that long: its clock was set meanwhile
 
 
 def _numbers(edge):
@@ -53,6 +60,20 @@ def _definition_here(kind, otherwise):
     return otherwise if found is None else found._md5sum
 
 
+def _times(bag):
+    """topic -> when its messages were recorded [s], in order; the index has them as they lie in the file."""
+    times = {}
+    for connection in bag._get_connections():
+        times.setdefault(connection.topic, []).extend(entry.time.to_sec() for index in bag._get_indexes([connection]) for entry in index)
+    return {topic: np.sort(values) for topic, values in times.items()}
+
+
+def _sensors_span(times):
+    """When the first and the last message of sensors was recorded [s]; times: of each topic, of which, where the clock leapt, the longest part counts."""
+    parts = [max(np.split(t, np.flatnonzero(np.diff(t) > LEAP) + 1), key=len) for t in times]
+    return min(part[0] for part in parts), max(part[-1] for part in parts)
+
+
 class _Bag(rosbag.Bag):
     """One whose damaged parts are BagErrors, too."""
 
@@ -66,7 +87,7 @@ class _Bag(rosbag.Bag):
 def open_bag(path):
     """rosbag.Bag for reading; BagError where there is none, or none that can be played."""
     if os.path.isfile(os.path.join(path, 'metadata.yaml')) or str(path).endswith(('.mcap', '.db3')):
-        raise BagError(f'{path} is a recording of ROS 2: make a bag of ROS 1 of it (pip install rosbags; rosbags-convert --src FOLDER --dst x.bag)')
+        raise BagError(f'{path} is a recording of ROS 2: make a bag of ROS 1 of it (pip install rosbags; {CONVERT})')
     if is_video(str(path)):
         raise BagError(f'{path} is a video: make a bag of it (rosrun air_ground dataset_to_bag --mav {path} --config camera.yaml --out x.bag)')
     try:
@@ -88,11 +109,11 @@ class BagFacts:
     def __init__(self, path):
         self.path = path
         with open_bag(path) as bag:
-            self.begin, self.end = bag.get_start_time(), bag.get_end_time()
             topics = bag.get_type_and_topic_info().topics
             self.foreign = {c.topic for c in bag._get_connections() if c.md5sum != _definition_here(c.datatype, c.md5sum)}  # topics whose messages are defined otherwise here
             self.types = {topic: info.msg_type for topic, info in topics.items()}
             self.counts = {topic: info.message_count for topic, info in topics.items()}
+            self.recorded, self.begin, self.end, self.elsewhen = self._span(_times(bag))
             static = [topic for topic in self.types if topic.strip('/') == 'tf_static']
             self.rates = {}  # topic -> rate(topic), of those that were asked for
             self.delays = {}  # topic -> delay(topic), of those that were asked for
@@ -110,6 +131,15 @@ class BagFacts:
             self.moving = {}  # child -> parent, of the transforms on /tf that change
             self.constant_on_tf = self._add_constant(bag)
             self.elsewhere = self._of_namespaces(bag)  # namespace -> {(parent, child): T_parent_child}: its static transforms, on /x/tf_static and /x/tf, which no node hears
+
+    def _span(self, times):
+        """((first, last) of all messages, begin, end of what is replayed [s], topic -> how many of its messages lie outside: of another clock, or of no sensor's time)."""
+        together = np.sort(np.concatenate(list(times.values())))
+        first, last = _sensors_span([times[topic] for topic, kind in self.types.items() if kind in SENSOR_TYPES] or [together])
+        kept = together[(together >= first - APART) & (together <= last + APART)]
+        begin, end = float(kept[0]), float(kept[-1])
+        outside = {topic: int(np.count_nonzero((t < begin) | (t > end))) for topic, t in times.items()}
+        return (float(together[0]), float(together[-1])), begin, end, {topic: count for topic, count in outside.items() if count}
 
     def add_static(self, message):
         """Transforms of another publisher's TFMessage, which take the place of the bag's."""
@@ -234,7 +264,8 @@ class BagFacts:
         found = next((name for name in (topic, topic.lstrip('/')) if name in self.foreign), None)
         if found is None:
             return None
-        return (f'{topic}: no node takes it, since {self.types[found]} is defined otherwise in the bag than here (md5sum). Replay the bag with the version that recorded it, or convert it: '
+        ros_2 = f' (of a recording of ROS 2: {CONVERT})' if self.types[found] == 'sensor_msgs/CameraInfo' else ''
+        return (f'{topic}: no node takes it, since {self.types[found]} is defined otherwise in the bag than here (md5sum). Replay the bag with the version that recorded it, or convert it{ros_2}: '
                 f'rosbag check -g rules.bmr "{self.path}" writes rules, to be filled in, for rosbag fix "{self.path}" converted.bag rules.bmr')
 
     def of_type(self, *kinds):

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import tempfile
 
+INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
+
 
 def cache_folder():
     return os.path.abspath(os.environ.get('AIR_GROUND_CACHE') or os.path.expanduser('~/.cache/air_ground'))
@@ -55,11 +57,27 @@ def rendered_bag(program, world, seed, extra):
     return bag
 
 
-def run_replay(command, environment, **how):
-    """Runs roslaunch with a replay; returns the status that its report ended with: roslaunch's own is 0 whatever happens. 1 if it never ended."""
+def _wait(process, timeout):
+    """Until it has ended; whether Ctrl-C asked for that: the process has had the signal, too, and has nodes and a master to stop, for longer than subprocess.run would wait."""
+    interrupted = False
+    while True:
+        try:
+            process.wait(timeout)
+            return interrupted
+        except KeyboardInterrupt:
+            interrupted = True
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise
+
+
+def run_replay(command, environment, timeout=None, **how):
+    """Runs roslaunch with a replay; returns the status that its report ended with: roslaunch's own is 0 whatever happens. 1 if it never ended, INTERRUPTED after Ctrl-C. timeout [s]: see subprocess.run."""
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, 'status')
-        subprocess.run(command, env=dict(environment, AIR_GROUND_REPLAY_STATUS=path), check=False, **how)
+        if _wait(subprocess.Popen(command, env=dict(environment, AIR_GROUND_REPLAY_STATUS=path), **how), timeout):
+            return INTERRUPTED
         try:
             with open(path, encoding='ascii') as stream:
                 return int(stream.read())
@@ -95,7 +113,7 @@ def _report_of(out):
 
 def launch(program, file, arguments, out, rviz_config, bear_failure=False, **how):
     """Runs a launch file of the package, which must write report.yaml into `out`; exits when it does not, or (unless bear_failure) says that
-    the replay failed. `rviz_config`: a file, or None for a replay without rviz. `how` goes to subprocess.run."""
+    the replay failed. `rviz_config`: a file, or None for a replay without rviz. `how` goes to subprocess.Popen."""
     with tempfile.TemporaryDirectory() as folder:
         launch_in(folder, program, file, arguments, out, rviz_config, bear_failure, **how)
 
@@ -119,6 +137,8 @@ def launch_in(folder, program, file, arguments, out, rviz_config, bear_failure, 
     command.append(f'rviz:={"true" if rviz else "false"}')
     before = _report_of(out)
     status = run_replay(command, environment, **how)
+    if status == INTERRUPTED:
+        sys.exit(status)
     if _report_of(out) in (None, before):
         sys.exit(f'{program}: the replay ended without a report; the first error among the lines above says why')
     if status and not bear_failure:
