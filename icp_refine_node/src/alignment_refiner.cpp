@@ -31,6 +31,7 @@ AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settin
 void AlignmentRefiner::setGround(Cloud cloud) {
   ground_ = std::move(cloud);
   new_ground_ = true;
+  stale_ground_ = false;
   reference_.reset();
 }
 
@@ -67,16 +68,20 @@ void AlignmentRefiner::setCoarse(const Similarity& T, bool sure) {
 void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
   setCoarse(coarse.T_ground_map_mav_map);
   coarse_known_ = coarse;
+  // Of a metric map the coarse stage estimates no scale: the lever to its centre is as sure as the odometry's.
+  coarse_known_->scale_stddev = std::max(coarse.scale_stddev, scale_.stddev);
   coarse_stamp_ = aerial_.newestStamp();
 }
 
 void AlignmentRefiner::setGroundCamera(double z) {
-  if (!knowsGroundCamera()) reference_.reset();
+  // What hangs between both heights counts as a ceiling now; a higher camera waits for the next map.
+  if (z < ground_camera_) reference_.reset();
   ground_camera_ = z;
 }
 
-void AlignmentRefiner::groundMoved() {
+void AlignmentRefiner::groundMoved(bool at_hand) {
   moved_grounds_ = kMovedGrounds;
+  stale_ground_ = !at_hand;
   unproven_ = tracked_.has_value();
   disagreements_ = 0;
   coarse_.reset();
@@ -135,6 +140,7 @@ void AlignmentRefiner::startGround() {
   ground_vertical_ = {};
   reference_.reset();
   moved_grounds_ = 0;
+  stale_ground_ = false;
   forgetPoses();
 }
 
@@ -240,7 +246,10 @@ void AlignmentRefiner::keepIfKnownBetter(const Cloud& reading, RefineOutcome* ou
 void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
   if (out->status == RefineStatus::kConverged) {
     rejections_ = 0;
-    unproven_ = false;
+    if (!stale_ground_) {
+      unproven_ = false;
+      moved_grounds_ = 0;
+    }
     if (out->kept) return;
     tracked_ = KnownAlignment{out->T_ground_map_mav_map, out->covariance, out->reference_point,
                               out->scale_stddev / out->T_ground_map_mav_map.scale};
@@ -266,9 +275,11 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
 
 bool AlignmentRefiner::leaps(const RefineOutcome& out, const Eigen::Vector3d& centre) const {
   constexpr double kFar = 0.15, kTurned = 0.06;  // [m], [rad]; right ones move by a third of it
+  constexpr double kScaled = 0.05;               // relative
   if (out.status != RefineStatus::kConverged || out.instead || groundHasMoved()) return false;
   const Similarity &before = tracked_->T_ground_map_mav_map, &T = out.T_ground_map_mav_map;
-  return (before * centre - T * centre).norm() > kFar || air_ground_common::rotationAngle(before.R, T.R) > kTurned;
+  return (before * centre - T * centre).norm() > kFar || air_ground_common::rotationAngle(before.R, T.R) > kTurned ||
+         std::abs(std::log(T.scale / before.scale)) > kScaled;
 }
 
 void AlignmentRefiner::demandConfirmation(const char* what, const Eigen::Vector3d& centre, RefineOutcome* out) {
@@ -322,7 +333,7 @@ RefineOutcome AlignmentRefiner::refine() {
   if (from_tracking && leaps(out, centre)) demandConfirmation("far from the last pose", centre, &out);
   if (from_tracking || guessed || out.status == RefineStatus::kConverged) coarse_.reset();
   follow(from_tracking, &out);
-  if (std::exchange(new_ground_, false) && moved_grounds_ > 0) --moved_grounds_;
+  if (std::exchange(new_ground_, false) && !stale_ground_ && moved_grounds_ > 0) --moved_grounds_;
   out.reason += refused;
   return out;
 }

@@ -40,6 +40,11 @@ void AerialVoxels::coarsen() {
   }
 }
 
+void AerialVoxels::reserve(std::size_t voxels) {
+  voxels_.reserve(voxels);
+  of_cell_.reserve(voxels);
+}
+
 std::vector<AerialVoxels::Point> AerialVoxels::points(int min_points) const {
   std::vector<Point> out;
   out.reserve(voxels_.size());
@@ -72,13 +77,22 @@ std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const s
 }
 
 void AugmentedMap::addAerial(std::int64_t stamp, std::vector<LabeledPoint> points) {
-  add(points, &aerial_);
+  if (!corrected_) add(points, &aerial_);
   clouds_.add(stamp, std::move(points), [this](const std::vector<LabeledPoint>& old) { add(old, &settled_); });
 }
 
 void AugmentedMap::correctAerial(const air_ground_common::CloudCorrections& corrections) {
   clouds_.correct(corrections);
+  corrected_ = true;
+}
+
+// All clouds once more take a second where the map is large: corrections come every few seconds, whether or not
+// somebody looks at the map.
+void AugmentedMap::followCorrections() {
+  if (!std::exchange(corrected_, false)) return;
+  const std::size_t voxels = aerial_.size();
   aerial_ = settled_;
+  aerial_.reserve(voxels);
   for (const auto& [stamp, points] : clouds_.clouds()) add(points, &aerial_);
 }
 
@@ -86,15 +100,17 @@ void AugmentedMap::clearAerial() {
   clouds_.clear();
   settled_.clear();
   aerial_.clear();
+  corrected_ = false;
 }
 
-std::vector<LabeledPoint> AugmentedMap::points() const {
+std::vector<LabeledPoint> AugmentedMap::points() {
   std::vector<LabeledPoint> out = ground_;
   for (auto& p : out) {
     p.source = 0;
     if (settings_.ground_red) p.rgb = {220, 30, 30};
   }
   if (!T_ground_map_mav_map_) return out;
+  followCorrections();
   const Eigen::Matrix3f sR = (T_ground_map_mav_map_->scale * T_ground_map_mav_map_->R).cast<float>();
   const Eigen::Vector3f t = T_ground_map_mav_map_->t.cast<float>();
   const auto voxels = aerial_.points(settings_.min_points);

@@ -129,12 +129,12 @@ std::vector<char> onUndersides(const std::vector<Eigen::Vector3f>& ground, const
 }
 
 IcpReference referenceBelowCeilings(const IcpChain& chain, const Cloud& ground, double camera) {
-  IcpReference whole = chain.prepareReference(ground);
-  const std::vector<char> ceiling = onCeilings(whole.cloud(), camera);
+  Cloud whole = chain.filteredReference(ground);
+  const std::vector<char> ceiling = onCeilings(whole, camera);
   Cloud rest;  // without normals: faces were turned to where the map is lower, under a ceiling nowhere
   for (std::size_t i = 0; i < ceiling.size(); ++i)
-    if (!ceiling[i]) rest.points.push_back(whole.cloud().points[i]);
-  return rest.size() == ceiling.size() ? std::move(whole) : chain.prepareReference(std::move(rest));
+    if (!ceiling[i]) rest.points.push_back(whole.points[i]);
+  return rest.size() == ceiling.size() ? chain.searchable(std::move(whole)) : chain.prepareReference(std::move(rest));
 }
 
 }  // namespace icp_refine

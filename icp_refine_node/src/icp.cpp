@@ -207,14 +207,18 @@ IcpChain::~IcpChain() = default;
 IcpChain::IcpChain(IcpChain&&) noexcept = default;
 IcpChain& IcpChain::operator=(IcpChain&&) noexcept = default;
 
-IcpReference IcpChain::prepareReference(Cloud cloud) const {
+Cloud IcpChain::filteredReference(Cloud cloud) const {
   removeInvalid(cloud);
   for (const auto& f : impl_->reference_filters) f->apply(cloud);
   if (!cloud.empty() && !cloud.hasNormals()) {
     throw ConfigError("point-to-plane needs normals: add SurfaceNormals to reference_filters");
   }
+  return cloud;
+}
+
+IcpReference IcpChain::searchable(Cloud filtered) const {
   IcpReference out;
-  out.cloud_ = std::move(cloud);
+  out.cloud_ = std::move(filtered);
   if (out.cloud_.empty()) return out;
   for (const auto& level : impl_->levels) {
     const float weight = level.matcher.normal_weight;

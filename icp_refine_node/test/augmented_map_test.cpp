@@ -91,6 +91,33 @@ TEST(AugmentedMap, AerialCloudsFollowTheirMap) {
   EXPECT_TRUE(map.points().empty());
 }
 
+// Whether somebody looks at each correction, or at the last alone, when older clouds have settled.
+TEST(AugmentedMap, PointsAreTheSameHoweverOftenTheyWereAskedFor) {
+  AugmentedMapSettings settings;
+  settings.max_voxels = 400;  // they grow on the way
+  AugmentedMap watched(settings), left_alone(settings);
+  air_ground_common::CloudCorrections corrections;
+  for (AugmentedMap* map : {&watched, &left_alone}) map->align(Similarity());
+  for (std::int64_t stamp = 0; stamp < 130; ++stamp) {
+    std::vector<LabeledPoint> cloud;
+    for (int k = 0; k < 20; ++k) {
+      const float x = 0.01f * static_cast<float>(stamp) + 0.03f * static_cast<float>(k % 5);
+      cloud.push_back({{x, 0.05f * static_cast<float>(k / 5), 0}, {static_cast<std::uint8_t>(10 * k), 0, 0}, 1});
+    }
+    for (AugmentedMap* map : {&watched, &left_alone}) map->addAerial(stamp, cloud);
+    corrections[stamp] = Similarity{1, Eigen::Matrix3d::Identity(), {0, 0, 0.001 * static_cast<double>(stamp % 7)}};
+    if (stamp % 40 == 39)
+      for (AugmentedMap* map : {&watched, &left_alone}) map->correctAerial(corrections);
+    EXPECT_FALSE(watched.points().empty());
+  }
+  const auto expected = watched.points(), points = left_alone.points();
+  ASSERT_EQ(points.size(), expected.size());
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    EXPECT_EQ(points[i].position, expected[i].position);
+    EXPECT_EQ(points[i].rgb, expected[i].rgb);
+  }
+}
+
 TEST(AugmentedMap, FillsOnlyWhatTheGroundRobotDidNotSee) {
   AugmentedMapSettings settings;
   settings.fill_only = true;

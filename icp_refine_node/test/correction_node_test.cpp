@@ -1,4 +1,6 @@
 // The MAV's odometry corrects its map while the running node holds clouds of it.
+#include <utility>
+
 #include "node_fixture.h"
 
 namespace icp_refine {
@@ -96,6 +98,58 @@ TEST_F(CorrectionTest, ACorrectedGroundMapIsFollowedByAMavThatHasLanded) {
   // No other cloud of the MAV comes.
   EXPECT_TRUE(waitFor([&] { return !estimates_.empty() && error(estimates_.back(), moved) < 0.08; }, 1500))
       << lastReason();
+}
+
+// The corrected map overtakes the news of it. Once the pose has converged on it, a leap is one again.
+TEST_F(CorrectionTest, ACorrectedGroundMapMayComeBeforeItIsSaid) {
+  const auto scene = synthetic::makeScene(1);
+  sendGroundStatus(1, 0);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  tick(1);
+  const auto corrected = cloud(scene.ground, "ground_map");
+  ground_.publish(corrected);
+  ASSERT_TRUE(waitFor([&] { return diagnostics_.received("/ground/map_cloud", corrected.header.stamp); }));
+  estimates_.clear();
+  const double now = std::exchange(now_, corrected.header.stamp.toSec());
+  sendGroundStatus(1, 1);
+  now_ = now;
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  tick(1);
+  const auto elsewhere = cloud(transformed(scene.ground, Pose(Eigen::Translation3d(0.2, 0, 0))), "ground_map");
+  ground_.publish(elsewhere);
+  ASSERT_TRUE(waitFor([&] { return diagnostics_.received("/ground/map_cloud", elsewhere.header.stamp); }));
+  tick(1);
+  const ros::Time newest(now_);
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  ASSERT_TRUE(waitFor([&] { return estimates_.back().header.stamp == newest; }));
+  EXPECT_EQ(estimates_.back().status, AlignmentEstimate::STATUS_SEARCHING);
+  EXPECT_NE(lastReason().find("far from the last pose"), std::string::npos) << lastReason();
+}
+
+// The coarse stage found them while it searched what the MAV had left behind; of newer ones it knows nothing better.
+TEST_F(CorrectionTest, AmbiguousNewerCloudsTakeBackNothingOfThoseThatWereLeftBehind) {
+  const auto scene = synthetic::makeScene(1);
+  const auto sendCoarseOf = [&](double stamp, std::uint8_t status) {
+    const double now = std::exchange(now_, stamp);
+    sendCoarse(offset(scene), status);
+    now_ = now;
+  };
+  const double begin = now_;
+  tick(25);
+  Cloud few;
+  few.points.assign(scene.ground.points.begin(), scene.ground.points.begin() + 50);
+  ground_.publish(cloud(few, "ground_map"));
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  sendCoarseOf(begin + 20, AlignmentEstimate::STATUS_SEARCHING);
+  sendCoarseOf(begin + 5, AlignmentEstimate::STATUS_CONVERGED);
+  sendCoarseOf(begin + 21, AlignmentEstimate::STATUS_AMBIGUOUS);
+  ASSERT_TRUE(settle());
+  EXPECT_NE(lastReason().find("ground points"), std::string::npos) << lastReason();
+  tick(1);
+  ground_.publish(cloud(scene.ground, "ground_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
 }
 
 TEST_F(CorrectionTest, WhatCannotBeIsCountedAndChangesNothing) {

@@ -1,4 +1,4 @@
-// Clouds that tell less of the pose than is known of it.
+// Clouds that tell less of the pose than is known of it, or of another scale.
 #include "refiner_fixture.h"
 
 namespace icp_refine {
@@ -60,6 +60,26 @@ TEST_F(FlyingOn, CloudsThatTellAsMuchReplaceIt) {
   ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
   EXPECT_FALSE(out.kept);
   EXPECT_LT((out.T_ground_map_mav_map * (centre + drift) - before.T_ground_map_mav_map * centre).norm(), 0.01);
+}
+
+// What was seen lies where it did, at another size.
+TEST_F(Refiner, ALeapOfTheScaleIsBelievedOnceAnotherCloudConfirmsIt) {
+  refiner.setScaleDeviation(0.05);
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  const double before = refiner.refined()->scale;
+  Similarity larger{1.07, Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
+  larger.t = centre - larger.scale * centre;
+  const Cloud grown = transformed(scene.aerial, larger);
+  for (std::int64_t stamp = 2; stamp < 8; ++stamp) refiner.addAerial(stamp, grown);
+  RefineOutcome out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kSearching) << out.reason;
+  EXPECT_NE(out.reason.find("far from the last pose"), std::string::npos) << out.reason;
+  EXPECT_EQ(refiner.refined()->scale, before);
+  refiner.addAerial(8, grown);
+  out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_NEAR(refiner.refined()->scale, before / larger.scale, 0.01);
 }
 
 }  // namespace

@@ -114,6 +114,26 @@ TEST_F(AlongAWallWithABox, TheCoarsePoseHoldsWhatTheGeometryLeavesOpen) {
   EXPECT_TRUE(refiner.tracking());
 }
 
+// A metric map: the coarse stage states no scale, and was right 6 m from here.
+TEST_F(AlongAWallWithABox, TheCoarsePoseIsHeldAsSurelyAsTheScaleIsKnown) {
+  constexpr double kTooLarge = 1.015;
+  const Cloud too_large = transformed(aerial, Similarity{kTooLarge, Eigen::Matrix3d::Identity(), {0, 0, 0}});
+  refiner.startMap();
+  refiner.addAerial(1, too_large);
+  KnownAlignment coarse = coarseAt(0, 0);
+  coarse.centre.x() = -6;
+  Similarity& T = coarse.T_ground_map_mav_map;
+  T.t = coarse.centre - T.R * (kTooLarge * (truth.inverse() * coarse.centre));
+  refiner.setCoarse(coarse);
+  const RefineOutcome out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  ASSERT_TRUE(out.held);
+  const Eigen::Vector3d true_point = kTooLarge * (truth.inverse() * out.reference_point);
+  const double error_x = (out.T_ground_map_mav_map * true_point - out.reference_point).x();
+  EXPECT_GT(std::abs(error_x), 0.08) << "by the scale along the way";
+  EXPECT_LT(std::abs(error_x), std::sqrt(out.covariance(0, 0)));
+}
+
 TEST(KnownAlignment, WhereTheGeometryFixesNothingTheResultIsMovedThere) {
   KnownAlignment known;
   known.T_ground_map_mav_map = similarity(air_ground_common::yawPose(0.7, {1, 2, 0.1}));

@@ -166,6 +166,39 @@ TEST_F(OwnUnitTest, AnUnbiasedScaleComesOfABiasedGuess) {
   ASSERT_TRUE(settle());
 }
 
+// The map's scale is known from the clouds by then.
+TEST_F(OwnUnitTest, AGuessOfAnotherScaleChangesNothingWhileAPoseIsTracked) {
+  const auto scene = synthetic::makeScene(3);
+  const Similarity T_mav_visual{2.5, Eigen::Matrix3d::Identity(), {0.3, -0.2, 0.9}};
+  const Cloud visual = transformed(scene.aerial, inverse(T_mav_visual));
+  const Similarity truth = compose(scene.truth, T_mav_visual);
+  const Eigen::Vector3d centre = synthetic::centroid(visual);
+  ground_.publish(cloud(scene.ground, "ground_map"));
+  aerial_.publish(cloud(visual, "mav_visual_map"));
+  ASSERT_TRUE(settle());
+  coarse_.publish(similarityMessage(truth, "ground_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+
+  Similarity guess = truth;
+  guess.scale *= 1.25;
+  guess.t += truth * centre - guess * centre;
+  tick(1);
+  AlignmentEstimate msg = similarityMessage(guess, "ground_map");
+  msg.status = AlignmentEstimate::STATUS_AMBIGUOUS;
+  msg.guess = true;
+  coarse_.publish(msg);
+  ASSERT_TRUE(settle());
+  tick(1);
+  const ros::Time newest(now_);
+  aerial_.publish(cloud(visual, "mav_visual_map"));
+  ASSERT_TRUE(waitFor([&] { return !estimates_.empty() && estimates_.back().header.stamp == newest; }));
+  EXPECT_EQ(estimates_.back().status, AlignmentEstimate::STATUS_CONVERGED) << lastReason();
+  EXPECT_NEAR(estimates_.back().scale / truth.scale, 1, 0.01);
+
+  aerial_.publish(cloud(scene.aerial, "mav_map"));  // metric again, for the tests to come
+  ASSERT_TRUE(settle());
+}
+
 // Where tf does not lead to the camera: another node owns the robot's edges, or a parameter tells the mounting.
 TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromKeyframes) {
   const auto scene = sceneWithTable();
@@ -195,6 +228,63 @@ TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromKeyframes) {
 
   keyframes.map_id = 4;
   keyframes_.publish(keyframes);
+  ASSERT_TRUE(settle());
+  sendCoarse(scene.T_ground_map_mav_map);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+}
+
+// Drift of a map that has been corrected since, or one wrong transform.
+TEST_F(OwnUnitTest, TheGroundCamerasHeightFallsWithItsKeyframes) {
+  const auto scene = sceneWithTable();
+  air_ground::MapKeyframes keyframes;
+  keyframes.header.frame_id = "ground_map";
+  keyframes.ids = {1};
+  keyframes.poses.resize(1);
+  keyframes.poses[0].orientation.w = 1;
+  const auto send = [&](double above_floor) {
+    tick(1);
+    keyframes.header.stamp = ros::Time(now_);
+    keyframes.poses[0].position.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, above_floor)).z();
+    keyframes_.publish(keyframes);
+  };
+  send(1.5);
+  ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
+  send(0.5);
+  ASSERT_TRUE(settle());
+  sendCoarse(scene.T_ground_map_mav_map);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+}
+
+// Without keyframes: what tf showed before a loop was closed tells nothing of the map since.
+TEST_F(OwnUnitTest, TheGroundCamerasHeightIsThatOfTheCorrectedMap) {
+  const auto scene = sceneWithTable();
+  const auto sendHeight = [&](double above_floor) {
+    tick(1);
+    geometry_msgs::TransformStamped T;
+    T.header.stamp = ros::Time(now_);
+    T.header.frame_id = "ground_map";
+    T.child_frame_id = "ground_camera_of_a_corrected_map";
+    T.transform.translation.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, above_floor)).z();
+    T.transform.rotation.w = 1;
+    tf2_msgs::TFMessage all;
+    all.transforms.push_back(T);
+    tf_static_.publish(all);
+    pause(10);
+    sensor_msgs::CameraInfo info;
+    info.header.stamp = T.header.stamp;
+    info.header.frame_id = T.child_frame_id;
+    info_.publish(info);
+  };
+  sendGroundStatus(1, 0);
+  sendHeight(1.5);
+  ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
+  sendHeight(0.5);
+  ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
+  tick(1);
+  sendGroundStatus(1, 1);
+  tick(1);
+  ground_.publish(cloud(scene.ground, "ground_map"));
+  sendHeight(0.5);
   ASSERT_TRUE(settle());
   sendCoarse(scene.T_ground_map_mav_map);
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();

@@ -42,19 +42,39 @@ TEST_F(Refiner, ACorrectionFarFromTheOverlapLeavesTheAlignmentThere) {
   EXPECT_LT((*refiner.refined() * (drift * centre) - aligned * centre).norm(), 1e-9);
 }
 
-TEST_F(Refiner, AMovedGroundIsTriedOnTwoMapsHoweverManyCome) {
+// What converges on the map as it was shows nothing of the correction; what does on the next one does.
+TEST_F(Refiner, AMovedGroundCountsUntilAPoseHasConvergedOnTheCorrectedMap) {
   refiner.setCoarse(scene.T_ground_map_mav_map);
   ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
   refiner.groundMoved();
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  EXPECT_TRUE(refiner.groundHasMoved());
+  EXPECT_TRUE(refiner.unproven());
   for (int k = 0; k < 5; ++k) refiner.setGround(scene.ground);
   EXPECT_TRUE(refiner.groundHasMoved());
-  refiner.refine();
-  EXPECT_TRUE(refiner.groundHasMoved());
-  refiner.refine();  // on the same map
-  EXPECT_TRUE(refiner.groundHasMoved());
-  refiner.setGround(scene.ground);
-  refiner.refine();
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
   EXPECT_FALSE(refiner.groundHasMoved());
+  EXPECT_FALSE(refiner.unproven());
+}
+
+// The ground robot closed a loop and parked before the MAV flew: no other ground map comes.
+TEST_F(Refiner, AGroundThatMovedBeforeAnythingWasTrackedIsForgotten) {
+  refiner.groundMoved();
+  refiner.setGround(scene.ground);
+  EXPECT_EQ(refiner.refine().status, RefineStatus::kSearching) << "there is no guess";
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  for (std::int64_t stamp = 2; stamp < 5; ++stamp) {
+    refiner.addAerial(stamp, scene.aerial);
+    ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  }
+  EXPECT_FALSE(refiner.groundHasMoved());
+  Cloud shifted = scene.aerial;
+  for (auto& p : shifted.points) p += Eigen::Vector3f(0.2f, 0, 0);
+  for (std::int64_t stamp = 5; stamp < 11; ++stamp) refiner.addAerial(stamp, shifted);
+  const auto out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kSearching) << out.reason;
+  EXPECT_NE(out.reason.find("far from the last pose"), std::string::npos) << out.reason;
 }
 
 // The MAV scouted here, and flew on before the ground robot came.
@@ -126,6 +146,15 @@ TEST_F(Refiner, ACoarsePoseThatDisagreedBeforeTheGroundMovedIsNotTried) {
   // Nor is a guess for that: what comes of it needs another cloud.
   refiner.setCoarse(elsewhere * scene.T_ground_map_mav_map, false);
   EXPECT_NE(refiner.refine().status, RefineStatus::kConverged);
+}
+
+TEST_F(MovedGround, IsTriedOnTwoMaps) {
+  EXPECT_TRUE(refiner.groundHasMoved());
+  refiner.refine();  // on the same map
+  EXPECT_TRUE(refiner.groundHasMoved());
+  refiner.setGround(transformed(scene.ground, correction));
+  refiner.refine();
+  EXPECT_FALSE(refiner.groundHasMoved());
 }
 
 TEST_F(MovedGround, EndsThePoseThatItContradicts) {

@@ -177,44 +177,75 @@ void ViewMatcher::waitAgain(Image image) {
   wait(std::move(image));
 }
 
-bool ViewMatcher::recognise(Image& image) {
-  visual_frontend::RelocalizationGate among;
-  among.min_lead = settings_.min_lead;
+ViewMatcher::Places ViewMatcher::placesFor(Image& image) const {
   // A metric map is level, as the ground robot's is. Features bear half of the difference that is let through.
   const double elevation = elevationOf(image.T_mav_camera);
-  std::vector<KeyframeId> known;
-  double least = std::numeric_limits<double>::infinity();
+  Places places;
   for (const auto& [id, keyframe] : map_.keyframes()) {
     const double difference = std::abs(elevationOf(keyframe.T_map_camera) - elevation);
     const bool fits = own_unit_ || difference <= settings_.max_elevation;
-    if (fits) known.push_back(id);
+    if (fits) places.known.push_back(id);
     if (id < image.next_keyframe) continue;
-    if (fits) among.places.push_back(id);
-    least = std::min(least, difference);
+    if (fits) places.fresh.push_back(id);
+    places.least_elevation = std::min(places.least_elevation, difference);
   }
   if (!map_.keyframes().empty()) image.next_keyframe = map_.keyframes().rbegin()->first + 1;
-  if (among.places.empty()) {
-    if (std::isfinite(least))
-      last_reason_ = formatted("the ground robot's images look %.0f degrees higher or lower, or more", least / kDegree);
+  return places;
+}
+
+bool ViewMatcher::recognise(Image& image) {
+  Places places = placesFor(image);
+  if (places.fresh.empty()) {
+    if (std::isfinite(places.least_elevation))
+      last_reason_ = formatted("the ground robot's images look %.0f degrees higher or lower, or more",
+                               places.least_elevation / kDegree);
     return false;
   }
+  visual_frontend::RelocalizationGate among;
+  among.min_lead = settings_.min_lead;
+  among.places = std::move(places.fresh);
   auto match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
-  if (match.success && known.size() > among.places.size()) {
+  if (match.success && places.known.size() > among.places.size()) {
     // Of two places that look alike the image may have seen the other one before.
-    among.places = known;
+    among.places = std::move(places.known);
     match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
   }
   image.ambiguous = image.ambiguous || match.ambiguous;
   last_reason_ = match.success ? "" : match.reason;
   if (!match.success) return false;
-  RecognisedImage seen{
-      {}, match.T_place_query, match.keyframe, match.covariance, 0, 1, std::numeric_limits<double>::infinity()};
+  RecognisedImage seen{{}, match.T_place_query, match.keyframe, match.covariance, match.inliers};
   seen.distance = (match.T_place_query.inverse() * scenes_.at(match.keyframe)).norm();
   compareDepths(image, seen);
   seen.image = std::move(image);
   images_.push_back(std::move(seen));
   if (images_.size() > static_cast<std::size_t>(settings_.max_images)) images_.erase(images_.begin());
+  if (images_.size() >= static_cast<std::size_t>(settings_.min_images)) contested_ = false;
   return true;
+}
+
+bool ViewMatcher::isContested(RecognisedImage& seen) const {
+  const std::vector<KeyframeId> fresh = placesFor(seen.image).fresh;
+  if (fresh.empty()) return false;
+  visual_frontend::PlaceMatch place;
+  place.keyframe = seen.keyframe;
+  place.T_place_query = seen.T_keyframe_camera;
+  place.inliers = seen.inliers;
+  return !visual_frontend::rivalsOf(place, map_, seen.image.camera, seen.image.features, fresh, settings_.min_lead,
+                                    settings_.place)
+              .empty();
+}
+
+// The ground robot has come to a twin of a place that it had seen alone when the image was recognised there.
+void ViewMatcher::questionRecognised() {
+  std::vector<RecognisedImage> kept, contested;
+  for (RecognisedImage& seen : images_) (isContested(seen) ? contested : kept).push_back(std::move(seen));
+  images_ = std::move(kept);
+  for (RecognisedImage& seen : contested) {
+    seen.image.next_keyframe = 0;
+    if (recognise(seen.image)) continue;
+    contested_ = true;
+    wait(std::move(seen.image));
+  }
 }
 
 // Points of the keyframe beside landmarks in the image: their depths differ by the scale, but where one is behind the
@@ -247,6 +278,7 @@ void ViewMatcher::compareDepths(const Image& image, RecognisedImage& seen) const
 }
 
 bool ViewMatcher::matchWaiting() {
+  questionRecognised();
   const std::size_t before = waiting_.size();
   waiting_.erase(std::remove_if(waiting_.begin(), waiting_.end(), [this](Image& image) { return recognise(image); }),
                  waiting_.end());
@@ -306,12 +338,14 @@ void ViewMatcher::forgetGround() {
   scenes_.clear();
   for (RecognisedImage& seen : images_) waitAgain(std::move(seen.image));
   images_.clear();
+  contested_ = false;
 }
 
 void ViewMatcher::forgetAerial() {
   images_.clear();
   waiting_.clear();
   last_reason_.clear();
+  contested_ = false;
   tried_ = 0;
 }
 
@@ -342,10 +376,19 @@ std::string ViewMatcher::notRecognised() const {
                    settings_.min_images, last_reason_.empty() ? "" : (" (the last: " + last_reason_ + ")").c_str());
 }
 
+std::int64_t ViewMatcher::newestStamp() const {
+  std::int64_t newest = 0;
+  for (const RecognisedImage& seen : images_) newest = std::max(newest, seen.image.stamp);
+  if (images_.size() >= static_cast<std::size_t>(settings_.min_images)) return newest;
+  return waiting_.empty() ? newest : std::max(newest, waiting_.back().stamp);
+}
+
 MatchEstimate ViewMatcher::estimate() const {
   MatchEstimate out;
+  out.stamp = newestStamp();
   if (static_cast<int>(images_.size()) < settings_.min_images) {
-    out.reason = notRecognised();
+    out.status = contested_ ? MatchStatus::kAmbiguous : MatchStatus::kSearching;
+    out.reason = (contested_ ? "what was recognised is taken back: " : "") + notRecognised();
     return out;
   }
   const std::vector<CameraInBoth> cameras = this->cameras();

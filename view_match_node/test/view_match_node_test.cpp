@@ -67,7 +67,7 @@ class ViewMatchNode : public testing::Test, protected CornerScene {
   }
 
   /// The MAV's view with what its map holds of it.
-  void fly(int i, const std::string& frame, bool metric) {
+  void fly(int i, const std::string& frame, bool metric, std::uint32_t map_id = 1) {
     cv::Mat depth;
     const cv::Mat grey = render(corner_, flown(i), &depth);
     std::vector<ros_utils::CloudPoint> points;
@@ -83,7 +83,7 @@ class ViewMatchNode : public testing::Test, protected CornerScene {
     msg.camera_info = ros_utils::toMsg(camera, msg.header);
     msg.pose.pose = ros_utils::toMsg(inMavMap(flown(i)));
     msg.metric = metric;
-    msg.map_id = 1;
+    msg.map_id = map_id;
     images_.publish(msg);
     ros_utils::pause(20);
   }
@@ -126,6 +126,29 @@ TEST_F(ViewMatchNode, TellsTheSimilarityOfAMapWithoutScaleAndForgetsWithTheGroun
   ASSERT_TRUE(awaitStatus(AlignmentEstimate::STATUS_SEARCHING)) << reason();
   EXPECT_GE(last_->pose.covariance[0], 1e6);
   EXPECT_EQ(last_->ground_map_id, 2u);
+}
+
+// Images wait for the ground robot: by their stamp nobody may take the alignment for one of the map before.
+TEST_F(ViewMatchNode, WhatWaitingImagesTellIsStampedWithTheNewestOfThem) {
+  const std::string frame = "mav_visual_map";
+  keyframes_.publish(keyframes(11));
+  for (int i = 0; i < 7; ++i) fly(i, frame, false);
+  ASSERT_TRUE(awaitStatus(AlignmentEstimate::STATUS_CONVERGED)) << reason();
+  auto other = keyframes(12);
+  other.features.clear();
+  other.ids.clear();
+  other.poses.clear();
+  keyframes_.publish(other);
+  ASSERT_TRUE(awaitStatus(AlignmentEstimate::STATUS_SEARCHING)) << reason();
+  const double ended = now_;
+  for (int i = 0; i < 7; ++i) fly(i, frame, false, 2);
+  const ros::Time newest(now_);
+  ASSERT_TRUE(diagnostics_.awaitReceived("/mav/posed_image", newest));
+  keyframes_.publish(keyframes(12));
+  ASSERT_TRUE(awaitStatus(AlignmentEstimate::STATUS_CONVERGED)) << reason();
+  EXPECT_EQ(last_->map_id, 2u);
+  EXPECT_GT(last_->header.stamp.toSec(), ended);
+  EXPECT_LE(last_->header.stamp, newest);
 }
 
 TEST_F(ViewMatchNode, BadInputIsCountedNotFatal) {

@@ -14,6 +14,15 @@ class ViewMatching : public testing::Test, protected CornerScene {
     for (const KeyframeView& view : groundViews(corner)) matcher.addKeyframe(view);
   }
 
+  /// The corner's views `shift` along x [m], where it looks the same.
+  void addTwin(const Corner& corner, ViewMatcher& matcher, double shift, std::uint32_t first_id) const {
+    for (KeyframeView view : groundViews(corner)) {
+      view.T_ground_camera = Eigen::Translation3d(shift, 0, 0) * view.T_ground_camera;
+      view.id += first_id;
+      matcher.addKeyframe(view);
+    }
+  }
+
   /// As the node adds them.
   void placeGroundViews(const Corner& corner, ViewMatcher& matcher) const {
     addGroundViews(corner, matcher);
@@ -245,20 +254,51 @@ TEST_F(ViewMatching, AnImageOfTwoPlacesIsNotTakenAtTheNextKeyframeOfOne) {
   const Corner corner(4);
   ViewMatcher matcher({});
   matcher.setOwnUnit(true);
-  const auto addTwins = [&](const Eigen::Vector3d& shift, std::uint32_t first_id) {
-    for (KeyframeView view : groundViews(corner)) {
-      view.T_ground_camera = Eigen::Translation3d(shift) * view.T_ground_camera;
-      view.id += first_id;
-      matcher.addKeyframe(view);
-    }
-  };
-  addTwins({0, 0, 0}, 0);
-  addTwins({6, 0, 0}, 1000);
+  addTwin(corner, matcher, 0, 0);
+  addTwin(corner, matcher, 6, 1000);
   addFlight(corner, matcher);
   ASSERT_EQ(matcher.estimate().status, MatchStatus::kSearching);
-  addTwins({6.01, 0, 0}, 2000);
+  addTwin(corner, matcher, 6.01, 2000);
   EXPECT_FALSE(matcher.matchWaiting());
   EXPECT_EQ(matcher.estimate().status, MatchStatus::kSearching) << matcher.estimate().reason;
+}
+
+// The ground robot comes to the other one of two equal desks after the MAV: who was told of the first is told now.
+TEST_F(ViewMatching, ImagesAreTakenBackWhenATwinOfTheirPlaceIsMapped) {
+  const Corner corner(4);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addTwin(corner, matcher, 0, 0);
+  addFlight(corner, matcher);
+  ASSERT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+  addTwin(corner, matcher, 6, 1000);
+  EXPECT_FALSE(matcher.matchWaiting());
+  const MatchEstimate e = matcher.estimate();
+  EXPECT_EQ(e.status, MatchStatus::kAmbiguous) << e.reason;
+  EXPECT_NE(e.reason.find("two places look alike"), std::string::npos) << e.reason;
+  matcher.forgetGround();
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kSearching);
+  addTwin(corner, matcher, 0, 2000);
+  EXPECT_TRUE(matcher.matchWaiting());
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+}
+
+// The ground robot drives on: to another place, and along the one that the images show.
+TEST_F(ViewMatching, KeyframesThatAreNoTwinTakeNothingBack) {
+  const Corner corner(4);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addTwin(corner, matcher, 0, 0);
+  addFlight(corner, matcher);
+  const MatchEstimate before = matcher.estimate();
+  ASSERT_EQ(before.status, MatchStatus::kConverged) << before.reason;
+  addTwin(Corner(99), matcher, 6, 1000);
+  addTwin(corner, matcher, 0.01, 2000);
+  EXPECT_FALSE(matcher.matchWaiting());
+  const MatchEstimate after = matcher.estimate();
+  EXPECT_EQ(after.status, MatchStatus::kConverged) << after.reason;
+  EXPECT_EQ(after.images, before.images);
+  EXPECT_LT((after.T_ground_mav.t - before.T_ground_mav.t).norm(), 1e-9);
 }
 
 // Once as they stand, once while the loop that they close moves all of the map.
@@ -337,6 +377,28 @@ TEST_F(ViewMatching, ImagesOfAPlaceMappedTwiceAreFoundOnceTheLoopCloses) {
   const MatchEstimate e = matcher.estimate();
   ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
   EXPECT_LT((e.T_ground_mav * inMavMap(flown(3)).translation() - flown(3).translation()).norm(), 0.04);
+}
+
+// The same where the MAV was there between both visits: what drift took back comes back.
+TEST_F(ViewMatching, ImagesTakenBackForDriftAreFoundOnceTheLoopCloses) {
+  truth.scale = 1;
+  const Corner corner(4);
+  ViewMatcher matcher({});
+  placeGroundViews(corner, matcher);
+  addFlight(corner, matcher);
+  ASSERT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+  std::map<std::uint32_t, Pose> drifted, closed;
+  for (const KeyframeView& view : groundViews(corner)) {
+    drifted[view.id] = closed[view.id] = closed[view.id + 1000] = view.T_ground_camera;
+    drifted[view.id + 1000] = Pose(Eigen::Translation3d(2.5, 0, 0)) * view.T_ground_camera;
+  }
+  addTwin(corner, matcher, 2.5, 1000);
+  matcher.setPoses(drifted);
+  matcher.matchWaiting();
+  ASSERT_EQ(matcher.estimate().status, MatchStatus::kAmbiguous) << matcher.estimate().reason;
+  matcher.setPoses(closed);
+  EXPECT_TRUE(matcher.matchWaiting());
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
 }
 
 TEST_F(ViewMatching, KeyframesThatComeAgainChangeNothing) {

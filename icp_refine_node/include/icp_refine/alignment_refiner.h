@@ -87,8 +87,8 @@ class AlignmentRefiner {
   /// While a pose is tracked, filters of the ground map and its normals ahead of the refinement that needs them: to be
   /// called when there is nothing else to do.
   void prepareGround();
-  /// Greatest z in ground_map of the camera that made the ground map [m]: what is higher it cannot have seen from
-  /// above, and where that is a ceiling (ceilings.h) the map counts without it.
+  /// Greatest z in ground_map of the camera that made the ground map, as that is now [m]: what is higher it cannot have
+  /// seen from above, and where that is a ceiling (ceilings.h) the map counts without it.
   void setGroundCamera(double z);
   bool knowsGroundCamera() const { return std::isfinite(ground_camera_); }
   /// Adds one aerial cloud (mav_map frame), stamp in nanoseconds.
@@ -130,9 +130,9 @@ class AlignmentRefiner {
   void correctAerial(const air_ground_common::CloudCorrections& corrections);
   /// What was made of the aerial map is off in itself: forgets the clouds so far, and what others said on such ones.
   void forgetAerial();
-  /// The ground map was corrected as a whole (a loop closed): the last pose may be off by more than ICP reaches, on the
-  /// ground map that came just before, or comes next.
-  void groundMoved();
+  /// The ground map was corrected as a whole (a loop closed): the last pose may be off by more than ICP reaches.
+  /// `at_hand`: the ground map that was set last shows it already; else the next one does.
+  void groundMoved(bool at_hand = false);
   /// Forgets all but the ground map: another aerial map has begun.
   void startMap();
   /// Forgets the ground map and all poses, not the aerial clouds: another ground map has begun.
@@ -144,9 +144,10 @@ class AlignmentRefiner {
   RefineOutcome refine();
 
   bool tracking() const { return tracked_.has_value(); }
-  /// The tracked pose may be of before a correction of the ground map.
+  /// The tracked pose may be of before a correction of the ground map: until one has converged on the corrected map, or
+  /// two such maps have come.
   bool groundHasMoved() const { return moved_grounds_ > 0; }
-  /// The ground map was corrected, and no refinement has converged since.
+  /// The ground map was corrected, and no refinement has converged on it since.
   bool unproven() const { return tracked_ && unproven_; }
   /// Last believed pose.
   std::optional<Similarity> refined() const {
@@ -205,9 +206,10 @@ class AlignmentRefiner {
   int rejections_ = 0, disagreements_ = 0;
   std::int64_t contradicted_stamp_ = 0;  ///< of the newest cloud of the last contradiction [ns]
   static constexpr int kMovedGrounds = 2;
-  int moved_grounds_ = 0;    ///< ground maps yet to be refined on for which the ground counts as moved
-  bool new_ground_ = false;  ///< not refined on so far
-  bool unproven_ = false;    ///< the tracked pose: the ground map has moved since it was found
+  int moved_grounds_ = 0;      ///< corrected maps yet to be refined on for which the ground counts as moved
+  bool new_ground_ = false;    ///< not refined on so far
+  bool stale_ground_ = false;  ///< of before the last correction
+  bool unproven_ = false;      ///< the tracked pose: the ground map has moved since it was found
 };
 
 }  // namespace icp_refine

@@ -34,6 +34,8 @@ class AerialVoxels {
   }
   float leaf() const { return leaf_; }  ///< present edge of a voxel [m]
   std::size_t size() const { return voxels_.size(); }
+  /// Room for so many.
+  void reserve(std::size_t voxels);
 
   struct Point {
     Eigen::Vector3f position;  ///< mav_map [m]
@@ -82,7 +84,7 @@ class AugmentedMap {
   void clearGround() { ground_.clear(); }
   /// A cloud in mav_map, by its stamp [ns]; the points' grey value is rgb[0].
   void addAerial(std::int64_t stamp, std::vector<LabeledPoint> points);
-  /// mav_map was corrected.
+  /// mav_map was corrected. The voxels follow when the points are asked for.
   void correctAerial(const air_ground_common::CloudCorrections& corrections);
   void clearAerial();
 
@@ -91,13 +93,16 @@ class AugmentedMap {
   bool aligned() const { return T_ground_map_mav_map_.has_value(); }
 
   /// Ground points (source 0) first, then aerial ones (source 1), in the ground map's frame.
-  std::vector<LabeledPoint> points() const;
+  std::vector<LabeledPoint> points();
 
  private:
+  void followCorrections();
+
   AugmentedMapSettings settings_;
   std::vector<LabeledPoint> ground_;
   air_ground_common::FollowedClouds<LabeledPoint> clouds_;
   AerialVoxels settled_, aerial_;  // of those before; of all
+  bool corrected_ = false;         // since aerial_ was made
   std::optional<Similarity> T_ground_map_mav_map_;
 };
 

@@ -5,6 +5,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "icp_refine/data_filters.h"
 #include "icp_refine/icp_stages.h"
@@ -58,7 +59,10 @@ class IcpChain {
   IcpChain(IcpChain&&) noexcept;
   IcpChain& operator=(IcpChain&&) noexcept;
 
-  IcpReference prepareReference(Cloud reference) const;
+  IcpReference prepareReference(Cloud reference) const { return searchable(filteredReference(std::move(reference))); }
+  /// Its two halves: the filters, and the trees of a cloud that has been through them.
+  Cloud filteredReference(Cloud reference) const;
+  IcpReference searchable(Cloud filtered) const;
   Cloud prepareReading(Cloud reading) const;
 
   /// `reading` as prepareReading left it. T_initial: reference <- reading. Never throws for poor data: see outcome,

@@ -1,6 +1,8 @@
 #include "ground_camera.h"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace icp_refine {
@@ -10,25 +12,37 @@ GroundCamera::GroundCamera(ros::NodeHandle& handle, const std::string& map_frame
   subscriber_ = handle.subscribe("ground/rgb/camera_info", 2, &GroundCamera::onInfo, this);
 }
 
-void GroundCamera::forget() {
-  greatest_ = -std::numeric_limits<double>::infinity();
+void GroundCamera::revise() {
   transforms_.clear();
+  if (!by_keyframes_) greatest_ = -std::numeric_limits<double>::infinity();
 }
 
+void GroundCamera::forget() {
+  by_keyframes_ = false;
+  revise();
+}
+
+// They are what the map was made from, and stand where it is now.
 void GroundCamera::use(const air_ground::MapKeyframes& keyframes) {
-  for (const auto& pose : keyframes.poses) raise(pose.position.z);
+  double greatest = -std::numeric_limits<double>::infinity();
+  for (const auto& pose : keyframes.poses)
+    if (std::isfinite(pose.position.z)) greatest = std::max(greatest, pose.position.z);
+  if (!std::isfinite(greatest)) return;
+  by_keyframes_ = true;
+  set(greatest);
 }
 
-void GroundCamera::raise(double z) {
+void GroundCamera::set(double z) {
   constexpr double kStep = 0.01;  // [m] less is not told
-  if (!std::isfinite(z) || z < greatest_ + kStep) return;
+  if (std::abs(z - greatest_) < kStep) return;
   greatest_ = z;
   tell_(z);
 }
 
 void GroundCamera::onInfo(const sensor_msgs::CameraInfo& msg) {
-  if (const auto T_map_camera = transforms_.lookup(map_frame_, msg.header.frame_id))
-    raise(T_map_camera->translation().z());
+  if (by_keyframes_) return;
+  const auto T_map_camera = transforms_.lookup(map_frame_, msg.header.frame_id);
+  if (T_map_camera && T_map_camera->translation().z() > greatest_) set(T_map_camera->translation().z());
 }
 
 }  // namespace icp_refine

@@ -6,7 +6,9 @@
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
 
+#include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/map_correction.h"
@@ -39,7 +41,7 @@ class IcpRefineNode {
             [this] { startMap(); }, [this] { worker_.post(&Inbox::reviseMap); }),
         ground_(
             "ground robot", kGroundStreams, RobotMapSession(settings_.ground_map_frame), health_,
-            [this] { startGround(); }, [this] { worker_.post(&Inbox::reviseGround); }) {
+            [this] { startGround(); }, [this] { reviseGround(); }) {
     coarse_subscriber_ = handle_.subscribe("alignment/coarse", 50, &IcpRefineNode::onCoarse, this);
     views_subscriber_ = handle_.subscribe("alignment/views", 50, &IcpRefineNode::onViews, this);
     aerial_subscriber_ = handle_.subscribe("mav/dense_cloud", 50, &IcpRefineNode::onAerial, this);
@@ -66,6 +68,7 @@ class IcpRefineNode {
     odometry_.reset();
     output_.forgetMav();
     aerial_stamps_.clear();
+    newest_coarse_ = ros::Time();
     const auto& id = mav_.map().id();
     if (id) worker_.setMapId(*id);
     worker_.forget(id ? "the MAV began another map" : "the MAV's map starts afresh",
@@ -74,11 +77,18 @@ class IcpRefineNode {
 
   void startGround() {
     ground_forgotten_ = true;
+    ground_stamp_ = ros::Time();
     ground_camera_.forget();
     const auto& id = ground_.map().id();
     if (id) worker_.setGroundMapId(*id);
     worker_.forget(id ? "the ground robot began another map" : "the ground robot's map starts afresh",
                    [](Inbox& inbox) { inbox.startGround(); });
+  }
+
+  void reviseGround() {
+    ground_camera_.revise();
+    const bool at_hand = !ground_.map().isStale(ground_stamp_.toSec());
+    worker_.post([at_hand](Inbox& inbox) { inbox.reviseGround(at_hand); });
   }
 
   /// The first part of the first map tells the map's unit, without a change of map.
@@ -121,7 +131,8 @@ class IcpRefineNode {
     auto points = ros_utils::readCloud(msg, "ground maps", health_);
     if (!points) return;
     ground_forgotten_ = false;
-    worker_.post([&](Inbox& inbox) { inbox.ground = std::move(*points); });
+    ground_stamp_ = msg.header.stamp;
+    worker_.post([&](Inbox& inbox) { inbox.setGround(std::move(*points)); });
   }
 
   // A latched map comes only once: the last one is kept for a start afresh. (To subscribe again would ask the master.)
@@ -173,12 +184,18 @@ class IcpRefineNode {
   }
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
+    const ros::Time newest = std::exchange(newest_coarse_, std::max(newest_coarse_, msg->header.stamp));
     // Elsewhere it is not known, or the MAV has flown off: that says nothing against what was CONVERGED.
-    if (msg->status == AlignmentEstimate::STATUS_AMBIGUOUS && !msg->guess)
+    if (msg->status == AlignmentEstimate::STATUS_AMBIGUOUS && !msg->guess) {
+      const bool of_other_clouds = coarse_left_behind_ && msg->header.stamp >= newest;
+      if (of_other_clouds) return;
       return useAlignment(*msg, kCoarse, "coarse alignments", [](Inbox& inbox) { inbox.withdrawCoarse(); });
+    }
     if (!isUsable(*msg)) return;
-    useAlignment(*msg, kCoarse, "coarse alignments",
-                 [&](Inbox& inbox) { inbox.coarse = coarseAlignmentFrom(*msg, inbox.own_unit); });
+    useAlignment(*msg, kCoarse, "coarse alignments", [&](Inbox& inbox) {
+      inbox.coarse = coarseAlignmentFrom(*msg, inbox.own_unit);
+      coarse_left_behind_ = msg->header.stamp < newest;
+    });
   }
 
   void onViews(const AlignmentEstimate::ConstPtr& msg) {
@@ -277,6 +294,9 @@ class IcpRefineNode {
   std::optional<Pose> odometry_;  // T_mav_map_base, the latest
   ros_utils::RecentStamps aerial_stamps_;
   sensor_msgs::PointCloud2::ConstPtr ground_map_;
+  ros::Time ground_stamp_;           // of the last one that was used; 0: none
+  ros::Time newest_coarse_;          // of what the coarse stage has said of the MAV's map
+  bool coarse_left_behind_ = false;  // its last pose is of clouds before that
   AlignmentEstimate::ConstPtr map_scale_;
   bool ground_forgotten_ = false;  // and none has come since
   ros_utils::RobotMapInput mav_, ground_;

@@ -91,10 +91,15 @@ void Inbox::reviseMap() {
   views.reset();
 }
 
-void Inbox::reviseGround() {
-  ground_moved = true;
+void Inbox::reviseGround(bool at_hand) {
+  ground_moved = at_hand;
   coarse.reset();
   views.reset();
+}
+
+void Inbox::setGround(std::vector<CloudPoint> points) {
+  ground = std::move(points);
+  if (ground_moved) ground_moved = true;
 }
 
 void Inbox::withdrawViews() {
@@ -207,12 +212,12 @@ bool RefineWorker::use(Inbox& inbox) {
     corrections_.clear();
     map_due_ |= map_.aligned();
   }
-  if (inbox.ground_moved && !inbox.new_ground) refiner_.groundMoved();
   if (inbox.ground_camera) refiner_.setGroundCamera(*inbox.ground_camera);
   if (inbox.ground) {
     refiner_.setGround(groundPositions(*inbox.ground));
     map_.setGround(std::move(*inbox.ground));
   }
+  if (inbox.ground_moved && !inbox.new_ground) refiner_.groundMoved(*inbox.ground_moved);
   own_unit_ = inbox.own_unit;
   for (AerialCloud& aerial : inbox.aerial) {
     const auto stamp = static_cast<std::int64_t>(aerial.stamp.toNSec());
@@ -286,7 +291,9 @@ void RefineWorker::useCoarse(CoarseAlignment coarse) {
     makeMetric(coarse.T_ground_map_mav_map);
     coarse.T_ground_map_mav_map = compose(coarse.T_ground_map_mav_map, inverse(*T_metric_visual_));
     coarse.scale_stddev = std::max(kWeakScale, coarse.scale_stddev);
-    refiner_.setScalePrior(coarse.T_ground_map_mav_map.scale, coarse.scale_stddev);
+    // A guess does not compete with the tracked pose, whose scale the clouds have told.
+    if (coarse.sure || !refiner_.tracking())
+      refiner_.setScalePrior(coarse.T_ground_map_mav_map.scale, coarse.scale_stddev);
   }
   if (coarse.sure && coarse.covariance.diagonal().minCoeff() > 0)
     refiner_.setCoarse(coarse);

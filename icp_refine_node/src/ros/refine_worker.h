@@ -30,7 +30,8 @@ struct AerialCloud {
 
 /// What has come since the worker looked last.
 struct Inbox {
-  bool aerial_revised = false, ground_moved = false;  ///< see reviseMap(), reviseGround()
+  bool aerial_revised = false;       ///< see reviseMap()
+  std::optional<bool> ground_moved;  ///< see reviseGround(): whether the newest ground map shows it
   bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
   std::optional<std::vector<CloudPoint>> ground;
   std::optional<double> ground_camera;  ///< greatest z of the ground robot's camera in its map [m]
@@ -51,7 +52,9 @@ struct Inbox {
   /// The MAV's calibration has changed: what relates both maps stays about right, the clouds so far do not.
   void reviseMap();
   void startGround();
-  void reviseGround();
+  /// The ground map was corrected as a whole. `at_hand`: the last one that has come shows it.
+  void reviseGround(bool at_hand);
+  void setGround(std::vector<CloudPoint> points);
   void withdrawViews();
   void withdrawCoarse();
   bool forgets() const { return reset || new_map || new_ground; }

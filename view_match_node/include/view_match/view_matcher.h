@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <limits>
 #include <map>
 #include <opencv2/core/mat.hpp>
 #include <optional>
@@ -70,6 +71,8 @@ struct MatchEstimate {
   Matrix7d covariance =
       1e6 * Matrix7d::Identity();  ///< translation [m], rotation [rad], relative scale; 1e6 I: not known
   int images = 0;                  ///< that agree
+  /// Of the newest image that was recognised; where too few were, of the newest one [ns]; 0: none.
+  std::int64_t stamp = 0;
 };
 
 /// Not thread-safe.
@@ -80,7 +83,8 @@ class ViewMatcher {
   /// Throws std::invalid_argument when descriptors and points do not fit. A known one is
   /// replaced: its camera may be known better.
   void addKeyframe(const KeyframeView& keyframe);
-  /// Looks for the images that were not recognised so far in the keyframes that have come since. True: some were.
+  /// Looks for the images that were not recognised so far in the keyframes that have come since. True: some were. Those
+  /// that were are taken back where such keyframes show another place that looks alike.
   bool matchWaiting();
   /// The map as it stands now: keyframes that it does not name are forgotten; the images recognised there go to another
   /// one of the same view, or wait again. Names without keyframe are ignored.
@@ -120,12 +124,23 @@ class ViewMatcher {
     Image image;
     Pose T_keyframe_camera;
     visual_frontend::KeyframeId keyframe;
-    Matrix6d covariance;         // of T_keyframe_camera, in the keyframe's camera frame
-    double distance;             // of what it sees [m]
-    double scale, scale_stddev;  // metres per unit of the MAV's map, by depths; relative
+    Matrix6d covariance;  // of T_keyframe_camera, in the keyframe's camera frame
+    int inliers;          // features that agree on it
+    double distance = 0;  // of what it sees [m]
+    double scale = 1;     // metres per unit of the MAV's map, by depths
+    double scale_stddev = std::numeric_limits<double>::infinity();  // relative
   };
+  struct Places {
+    std::vector<visual_frontend::KeyframeId> known, fresh;  // of the image's elevation; those it was not looked for in
+    double least_elevation = std::numeric_limits<double>::infinity();  // between it and those, whatever it is [rad]
+  };
+  /// Where to look for the image, which then has been looked for in all keyframes.
+  Places placesFor(Image& image) const;
   /// In the keyframes from `image.next_keyframe` on.
   bool recognise(Image& image);
+  /// Those keyframes show another place where the image may have been taken as well.
+  bool isContested(RecognisedImage& seen) const;
+  void questionRecognised();
   /// For keyframes to come; where too many wait, one of the two views goes that differ least.
   void wait(Image image);
   /// For all keyframes: it has lost the one where it was recognised.
@@ -143,6 +158,7 @@ class ViewMatcher {
   CameraInBoth inBoth(const RecognisedImage& seen) const;
   void judge(const std::vector<CameraInBoth>& cameras, const Consensus& consensus, MatchEstimate* out) const;
   std::string notRecognised() const;
+  std::int64_t newestStamp() const;
 
   MatcherSettings settings_;
   visual_frontend::Map map_;
@@ -153,7 +169,8 @@ class ViewMatcher {
   std::deque<Image> waiting_;
   std::string last_reason_;
   bool own_unit_ = false;
-  int tried_ = 0;  // images, since a map began
+  bool contested_ = false;  // images were taken back, and not enough recognised since
+  int tried_ = 0;           // images, since a map began
 };
 
 }  // namespace view_match

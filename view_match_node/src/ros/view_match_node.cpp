@@ -108,11 +108,9 @@ class ViewMatchNode {
     try {
       const ros::WallTime start = ros::WallTime::now();
       matcher_.setOwnUnit(mav_.map().ownUnit());
-      const bool recognised =
-          matcher_.addImage(static_cast<std::int64_t>(msg->header.stamp.toNSec()), ros_utils::greyFromMsg(*msg),
-                            ros_utils::fromMsg(msg->camera_info), ros_utils::fromMsg(msg->pose.pose), landmarks_);
+      matcher_.addImage(static_cast<std::int64_t>(msg->header.stamp.toNSec()), ros_utils::greyFromMsg(*msg),
+                        ros_utils::fromMsg(msg->camera_info), ros_utils::fromMsg(msg->pose.pose), landmarks_);
       health_.timing("image", (ros::WallTime::now() - start).toSec());
-      if (recognised) stamp_ = msg->header.stamp;
     } catch (const std::exception& e) {
       return health_.count(std::string("posed images not usable: ") + e.what());
     }
@@ -125,7 +123,7 @@ class ViewMatchNode {
     if (e.status != status_) ROS_INFO("Alignment by views %s: %s", toString(e.status), e.reason.c_str());
     status_ = e.status;
     AlignmentEstimate msg = toMsg(e);
-    msg.header.stamp = stamp_;
+    msg.header.stamp.fromNSec(static_cast<std::uint64_t>(e.stamp));
     msg.header.frame_id = settings_.ground_map_frame;
     msg.child_frame_id = mav_.map().expectedFrame();
     msg.map_id = mav_.map().id().value_or(0);
@@ -138,7 +136,7 @@ class ViewMatchNode {
   ros_utils::NodeHealth health_;
   ViewMatcher matcher_;
   std::vector<Eigen::Vector3f> landmarks_;  // in the MAV's map, as of its last sparse cloud
-  ros::Time last_image_, stamp_;            // looked up, recognised
+  ros::Time last_image_;                    // that was looked up
   std::optional<MatchStatus> status_;
   ros_utils::RobotMapInput mav_, ground_;
   ros::Publisher publisher_;
