@@ -244,11 +244,12 @@ void PoseFilter::predict(const Increment& given) {
     h.travelled_covariance = j.by_state * h.travelled_covariance * j.by_state.transpose() +
                              j.by_increment * way.covariance * j.by_increment.transpose();
   }
-  // When long has passed, or the odometry was silent, almost anything agrees with a single fix.
+  // Almost anything agrees with a single fix when the odometry since may be far off. Metric one states how far; in an
+  // unknown unit, whose scale wanders, time stands in for it.
   const double drift = std::pow(settings_.pairing_drift, 2);
   const auto alone = [&](const Hypothesis& h) {
-    return h.state.support < 2 && (h.age > settings_.pairing_time ||
-                                   (metric_ && h.travelled_covariance.diagonal().head<3>().maxCoeff() > drift));
+    if (h.state.support > 1) return false;
+    return metric_ ? h.travelled_covariance.diagonal().head<3>().maxCoeff() > drift : h.age > settings_.pairing_time;
   };
   hypotheses_.erase(std::remove_if(hypotheses_.begin(), hypotheses_.end(), alone), hypotheses_.end());
 }

@@ -26,9 +26,10 @@ void describe(air_ground_common::ParameterVisitor& v, FilterSettings& f) {
     "a good measurement passes with this probability. The bound on the normalised innovation squared is the chi-square "
     "quantile: 16.3 for a fix (4 degrees of freedom), 14.2 for GPS (3), 9.0 for heading and barometer (1)");
   v("pairing_time", f.pairing_time, {1, 3600}, "s",
-    "fixes that agree start the tracker; one that no other has joined is forgotten after this time, ...");
+    "fixes that agree start the tracker; one that no other has joined is forgotten: with odometry in an unknown unit "
+    "after this time, ...");
   v("pairing_drift", f.pairing_drift, {0.1, 100}, "m",
-    "... or once metric odometry may be off by this since, as after a gap (1 sigma)");
+    "... with metric odometry, however long that takes, once it may be off by this since, as after a gap (1 sigma)");
   v("max_false_start", f.max_false_start, {1e-12, 1}, "",
     "probability that the fixes which start or replace the state are wrong ones that agree by chance: precise fixes "
     "need "

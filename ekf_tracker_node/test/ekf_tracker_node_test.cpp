@@ -373,7 +373,6 @@ TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
   fixes_.publish(fix(20));
   fixes_.publish(fix(30));
   ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1; }));
-  const air_ground_common::LocalFrame frame("EPSG:2056", {2683300, 1247900, 420});
   for (int i = 40; i < 400; i += 20) {
     fly(i, i + 20);
     const Pose T_world_base = kWorldMap * mapPose(i + 10);
@@ -385,15 +384,10 @@ TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
         T_world_base.linear().transpose() * Eigen::Vector3d(21e-6 * std::sin(d), 21e-6 * std::cos(d), -43e-6);
     field.magnetic_field.x = seen.x(), field.magnetic_field.y = seen.y(), field.magnetic_field.z = seen.z();
     magnetometer_.publish(field);
-    sensor_msgs::NavSatFix gps;
-    gps.header.stamp = timeOf(i + 10);
-    const auto g = frame.toGeodetic(T_world_base.translation());
-    gps.latitude = g.latitude, gps.longitude = g.longitude, gps.altitude = g.height + 47.3;
-    gps.status.status = sensor_msgs::NavSatStatus::STATUS_FIX;
-    gps_.publish(gps);
-    gps.latitude = kNan;
-    gps.header.stamp += ros::Duration(20);
-    gps_.publish(gps);
+    gps_.publish(gps(i + 10));
+    sensor_msgs::NavSatFix bad = gps(i + 410);
+    bad.latitude = kNan;
+    gps_.publish(bad);
     barometer_.publish(pressure(i + 10));
     pause(4);
   }
@@ -408,19 +402,42 @@ TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
       << ' ' << fused[2] << ' ' << fused[3];
   EXPECT_GE(fused[air_ground::TrackerInnovation::SOURCE_GPS], 1);
   EXPECT_LE(fused[air_ground::TrackerInnovation::SOURCE_GPS], 3);  // thinned to one in ten seconds
+  const std::map<int, double> most = {{air_ground::TrackerInnovation::SOURCE_HEADING, 0.03},
+                                      {air_ground::TrackerInnovation::SOURCE_BAROMETER, 0.2},
+                                      {air_ground::TrackerInnovation::SOURCE_GPS, 1}};
   for (const auto& m : innovations_) {
-    if (m.source == air_ground::TrackerInnovation::SOURCE_HEADING && m.predicted) {
-      EXPECT_LT(std::abs(m.innovation[0]), 0.03);
-    }
-    if (m.source == air_ground::TrackerInnovation::SOURCE_BAROMETER && m.predicted) {
-      EXPECT_LT(std::abs(m.innovation[0]), 0.2);
-    }
-    if (m.source == air_ground::TrackerInnovation::SOURCE_GPS && m.predicted) {
-      EXPECT_LT(std::abs(m.innovation[0]), 1);
-    }
+    if (!m.predicted || most.count(m.source) == 0) continue;
+    EXPECT_LT(std::abs(m.innovation[0]), most.at(m.source));
   }
   expectOnTheWay(400, 1.0);
   expectFinite();
+}
+
+// As where two fixes of a wrong place have started it.
+TEST_F(EkfTrackerNodeTest, GpsThatContradictsThePoseIsToldUntilItAgrees) {
+  int at = 40;
+  fly(0, at);
+  ASSERT_TRUE(giveFixes({10, 30}));
+  // It flies on meanwhile: else it would tell of the odometry.
+  const auto says = [&](const std::string& line) {
+    return spinUntil([&] {
+      fly(at, at + 1);
+      return ++at, diagnostics_.message().rfind(line, 0) == 0;
+    });
+  };
+  // One in ten seconds counts.
+  const auto give = [&](const Eigen::Vector3d& error) {
+    fly(at, at + 210);
+    gps_.publish(gps((at += 210) - 5, error));
+  };
+  for (int i = 0; i < 2; ++i) give({80, 0, 0});
+  EXPECT_TRUE(says("tracking: "));
+  for (int i = 0; i < 2; ++i) give({80, 0, 0});
+  EXPECT_TRUE(says("GPS contradicts the pose by 80 m")) << diagnostics_.message();
+  EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::WARN);
+  EXPECT_TRUE(diagnostics_.await("GPS positions contradict the pose", 1));
+  give({0, 0, 0});
+  EXPECT_TRUE(says("tracking: ")) << diagnostics_.message();
 }
 
 }  // namespace

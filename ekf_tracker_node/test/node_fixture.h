@@ -145,6 +145,16 @@ class EkfTrackerNodeTest : public ::testing::Test {
     return m;
   }
 
+  static sensor_msgs::NavSatFix gps(int i, const Eigen::Vector3d& error = Eigen::Vector3d::Zero()) {
+    static const air_ground_common::LocalFrame frame("EPSG:2056", {2683300, 1247900, 420});
+    const auto g = frame.toGeodetic((kWorldMap * mapPose(i)).translation() + error);
+    sensor_msgs::NavSatFix m;
+    m.header.stamp = timeOf(i);
+    m.latitude = g.latitude, m.longitude = g.longitude, m.altitude = g.height + 47.3;
+    m.status.status = sensor_msgs::NavSatStatus::STATUS_FIX;
+    return m;
+  }
+
   // True when the node's odometry has come so far, be it located or not: a barometer reading (at most one a second)
   // waits for it.
   bool reach(int i) {

@@ -201,10 +201,13 @@ TEST(PoseFilter, WrongFixesStartNoMoreOftenThanStated) {
   EXPECT_LE(starts(settings), kRuns * kFixes * settings.max_false_start);
 }
 
+// In an unknown unit by its age; metric odometry tells how far off it may be.
 TEST(PoseFilter, AFixThatNoneJoinsIsForgotten) {
   PoseFilter filter;
+  filter.restart(false, 0);
   Increment step = stepOf({0, 0, 0, 0});
   step.stamp = 1;
+  step.metric = false;
   filter.correct(fixAt({0, 0, 0, 0}));
   for (int i = 0; i < 59; ++i) filter.predict(step);
   EXPECT_EQ(filter.hypotheses(), 1);
@@ -212,12 +215,31 @@ TEST(PoseFilter, AFixThatNoneJoinsIsForgotten) {
   filter.predict(step);
   EXPECT_EQ(filter.hypotheses(), 0);
   // A gap of ten seconds, 15 m at one sigma: whatever agrees after it says little.
+  filter.restart(true, 0);
   filter.correct(fixAt({0, 0, 0, 0}));
+  step.metric = true;
   step.gap = true;
   step.covariance = Vector4d(15, 15, 15, 1).cwiseAbs2().asDiagonal();
   filter.predict(step);
   EXPECT_EQ(filter.hypotheses(), 0);
   EXPECT_EQ(filter.correct(fixAt({20, 0, 0, 0})).result, Result::kWaiting);
+}
+
+TEST(PoseFilter, FixesMoreThanAMinuteApartStartIt) {
+  PoseFilter filter;
+  Increment step = stepOf({1, 0, 0, 0.01});
+  step.stamp = 1;
+  step.scale_stddev = 0.01;
+  filter.restart(true, step.scale_stddev);
+  Vector4d q(5, -3, 2, 0.4);
+  EXPECT_EQ(filter.correct(preciseFixAt(q, 0)).result, Result::kWaiting);
+  for (int i = 0; i < 75; ++i) {
+    filter.predict(step);
+    q = move<double>(q, step.motion, 1);
+  }
+  EXPECT_EQ(filter.correct(preciseFixAt(q + Vector4d(0, 30, 0, 0), 75)).result, Result::kWaiting);  // a wrong one
+  EXPECT_EQ(filter.correct(preciseFixAt(q, 75)).result, Result::kInitialised);
+  EXPECT_LT((filter.state().x.head<4>() - q).norm(), 0.1);
 }
 
 TEST(PoseFilter, WrongFixAfterAGapIsKeptAside) {

@@ -36,8 +36,9 @@ struct FilterSettings {
   // Barometer.
   double barometer_drift = 0.25;  ///< of its offset, per square root of second [m]
   // Start and recovery.
-  double pairing_time = 60;  ///< a fix that no other has joined is forgotten after this time [s] ...
-  double pairing_drift = 5;  ///< ... or after metric odometry that may be off by more than this, as a gap makes it [m]
+  // A fix that no other has joined is forgotten ...
+  double pairing_time = 60;  ///< ... with odometry in an unknown unit after this time [s]
+  double pairing_drift = 5;  ///< ... with metric odometry once that may be off by more than this, as after a gap [m]
   int unscaled_start_fixes =
       3;  ///< agreeing fixes for a start in an unknown unit: two give the scale, a third confirms it
   double max_false_start = 1e-5;  ///< probability that fixes which start or replace the state agree by chance

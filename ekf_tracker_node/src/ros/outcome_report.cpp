@@ -20,6 +20,11 @@ void OutcomeReport::publishPending() {
 void OutcomeReport::publish(const Outcome& o) {
   const Source source = o.measurement.source;
   if (source == Source::kFix && isUsed(o.result)) state_.fixUsed(o.measurement.stamp);
+  if (o.result == Result::kRecovered || o.result == Result::kInitialised ||
+      (source == Source::kGps && isUsed(o.result)))
+    state_.gpsAgrees();
+  else if (source == Source::kGps && o.result == Result::kRefusedByGate && !o.revised)
+    state_.gpsRefused(o.innovation.head<3>().norm());
   // Refusals are counted by name; waiting for a partner is none.
   const bool waits = o.result == Result::kWaiting || o.result == Result::kNotStarted;
   if (o.revised)

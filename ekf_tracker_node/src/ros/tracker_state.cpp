@@ -5,8 +5,12 @@
 namespace ekf_tracker {
 namespace {
 
-constexpr double kSilence = 1.0;   // without odometry that could be used: it is lost [s]
-constexpr double kUnlocated = 10;  // odometry without any fix: said on the console [s]
+constexpr double kSilence = 1.0;    // without odometry that could be used: it is lost [s]
+constexpr double kUnlocated = 10;   // odometry without any fix: said on the console [s]
+constexpr int kContradictions = 3;  // GPS positions refused in a row: one in 50 million by chance
+constexpr char kGpsAdvice[] =
+    "where the pose is wrong call ~reset; where GPS is, for longer than street canyons make it, check origin_crs, "
+    "origin and geoid_undulation";
 
 // By the clock that the messages follow, so that a paused replay is no silence; else by one that nobody sets [s].
 double seconds() { return ros::Time::isSimTime() ? ros::Time::now().toSec() : ros::SteadyTime::now().toSec(); }
@@ -35,12 +39,21 @@ void TrackerState::tracking(const PoseEstimate& estimate, double stamp, bool dou
       "tracking: %.1f %.1f %.1f m, %.1f deg (1 sigma); odometry scale %.3f +- %.3f; %d fixes; last fused %.1f s ago",
       stddev[0], stddev[1], stddev[2], stddev[3] * 180 / M_PI, estimate.scale, estimate.scale_stddev, estimate.support,
       stamp - last_fix_);
+  std::string doubts;
   if (!estimate.scale_known)
-    health_.state(health_.kWarn, "the odometry's scale is not known: position is held by fixes alone; " + line);
+    doubts = "the odometry's scale is not known: position is held by fixes alone; ";
   else if (doubtful)
-    health_.state(health_.kWarn, "doubtful, fixes that it does not rest on agree; " + line);
-  else
-    health_.state(health_.kOk, line);
+    doubts = "doubtful, fixes that it does not rest on agree; ";
+  if (gps_refused_ >= kContradictions)
+    doubts += air_ground_common::formatted("GPS contradicts the pose by %.0f m, %d positions in a row: %s; ", gps_off_,
+                                           gps_refused_, kGpsAdvice);
+  health_.state(doubts.empty() ? health_.kOk : health_.kWarn, doubts + line);
+}
+
+void TrackerState::gpsRefused(double metres) {
+  gps_off_ = metres;
+  if (++gps_refused_ == kContradictions)
+    health_.count(std::string("GPS positions contradict the pose, several in a row: ") + kGpsAdvice);
 }
 
 void TrackerState::watch(const std::string& topic) {
@@ -58,6 +71,7 @@ void TrackerState::forget() {
   used_.reset();
   lost_ = false;
   last_fix_ = 0;
+  gps_refused_ = 0;
   health_.state(health_.kWarn, "forgot the pose; waiting for visual odometry");
 }
 

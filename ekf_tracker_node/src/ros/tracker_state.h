@@ -19,6 +19,10 @@ class TrackerState {
   void fixHeard() { ++fixes_heard_; }
   void fixUsed(double stamp) { last_fix_ = std::max(last_fix_, stamp); }
   void odometryUsed();
+  /// A GPS position so far off the pose was refused [m].
+  void gpsRefused(double metres);
+  /// One was taken, or the pose is another.
+  void gpsAgrees() { gps_refused_ = 0; }
 
   /// There is odometry, but no pose yet.
   void unlocated(double stamp, bool metric, const ros::Subscriber& fixes);
@@ -34,6 +38,8 @@ class TrackerState {
   std::optional<double> unlocated_since_;  ///< [s]
   double last_fix_ = 0;                    ///< stamp of the last one fused [s]
   std::size_t fixes_heard_ = 0;
+  int gps_refused_ = 0;  ///< in a row
+  double gps_off_ = 0;   ///< the last of these [m]
 };
 
 }  // namespace ekf_tracker

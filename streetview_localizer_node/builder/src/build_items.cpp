@@ -4,6 +4,9 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <boost/geometry.hpp>
+#include <boost/geometry/geometries/point.hpp>
+#include <boost/geometry/index/rtree.hpp>
 #include <cctype>
 #include <cmath>
 #include <filesystem>
@@ -54,10 +57,21 @@ class Stems {
   std::map<std::string, std::multimap<std::string, std::string>> folders_;
 };
 
+namespace bgi = boost::geometry::index;
+using PlanPoint = boost::geometry::model::point<double, 2, boost::geometry::cs::cartesian>;
+using Corners = bgi::rtree<PlanPoint, bgi::quadratic<16>>;
+
+/// Of the model, in plan: a city has too many to look at all of them for each image.
+Corners cornersOf(const CityModel& model) {
+  std::vector<PlanPoint> corners;
+  for (const Eigen::Vector3f& v : model.mesh.vertices) corners.emplace_back(v.x(), v.y());
+  return Corners(corners);
+}
+
 class ImageList {
  public:
   ImageList(const BuildSettings& settings, const CityModel& model, const std::string& axis_order, BuildReport* report)
-      : s_(settings), model_(model), axis_order_(axis_order), report_(*report) {}
+      : s_(settings), model_(model), axis_order_(axis_order), report_(*report), corners_(cornersOf(model)) {}
 
   std::vector<BuildItem> take() {
     if (!s_.poses.empty()) {
@@ -98,7 +112,8 @@ class ImageList {
 
   fs::path folder() const {
     if (!s_.images.empty()) return s_.images;
-    return fs::path(s_.poses.empty() ? s_.geotags : s_.poses).parent_path();
+    const fs::path beside = fs::path(s_.poses.empty() ? s_.geotags : s_.poses).parent_path();
+    return beside.empty() ? "." : beside;
   }
 
   bool accept(const std::string& image, BuildItem* item) {
@@ -220,10 +235,14 @@ class ImageList {
     if (above.empty()) return;
     const double median = air_ground_common::median(std::move(above));
     if (std::abs(median) <= kFarOff) return;
-    report_.image_remarks.push_back(air_ground_common::formatted(
+    std::string remark = air_ground_common::formatted(
         "geotags lie %.0f m %s where the model's ground and --camera-height put them: if their heights are not in the "
         "model's vertical datum, give --geotag-height-offset %.0f",
-        std::abs(median), median > 0 ? "above" : "below", s_.geotag_height_offset - median));
+        std::abs(median), median > 0 ? "above" : "below", s_.geotag_height_offset - median);
+    // The correction would take them to the street.
+    if (median > 0 && s_.registration.camera_height > 0)
+      remark += "; if the cameras do stand so high (a drone, a mast), give --camera-height 0";
+    report_.image_remarks.push_back(remark);
   }
 
   /// Of a geotag that has none, from the ground below it [m]; empty, and refused, where that is not known.
@@ -243,7 +262,9 @@ class ImageList {
   /// Far from all buildings: empty, or a reason to refuse the image.
   std::string farAway(const Eigen::Vector3d& place) const {
     double nearest = std::numeric_limits<double>::infinity();
-    for (const auto& v : model_.mesh.vertices) nearest = std::min(nearest, (v.cast<double>() - place).head<2>().norm());
+    const auto closest = bgi::nearest(PlanPoint(place.x(), place.y()), 1);
+    for (auto it = corners_.qbegin(closest); it != corners_.qend(); ++it)
+      nearest = (Eigen::Vector2d(it->get<0>(), it->get<1>()) - place.head<2>()).norm();
     if (nearest <= 500) return "";
     return "lies " + std::to_string(std::lround(nearest / 1000)) + " km from the city model" +
            (axis_order_.empty() ? "" : ", whose coordinates were taken as " + axis_order_);
@@ -285,6 +306,7 @@ class ImageList {
   const CityModel& model_;
   const std::string& axis_order_;
   BuildReport& report_;
+  const Corners corners_;
   std::vector<BuildItem> items_;
   std::set<std::string> ids_;
   Stems stems_;

@@ -3,19 +3,23 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <list>
 #include <map>
 #include <mutex>
 #include <opencv2/imgproc.hpp>
+#include <optional>
+#include <unordered_map>
+#include <utility>
 
 #include "streetview_localizer/panorama_views.h"
 
 namespace streetview_localizer {
 namespace {
 
-constexpr int kSide = 12;            // samples along a patch
-constexpr std::size_t kImages = 24;  // kept in memory
+constexpr int kSide = 12;                                   // samples along a patch
+constexpr std::size_t kKeptBytes = std::size_t{512} << 20;  // of images in memory
 
 using Patch = std::array<float, kSide * kSide>;
 
@@ -44,6 +48,76 @@ bool normalise(Patch* patch) {
   return true;
 }
 
+/// As many images as fit, the last used ones. Thread-safe.
+class ImageCache {
+ public:
+  std::optional<cv::Mat> find(int index) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return findLocked(index);
+  }
+
+  /// Returns the image that is kept: this one, or where another thread was faster that thread's.
+  cv::Mat keep(int index, const cv::Mat& image) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (const auto found = findLocked(index)) return *found;
+    images_.emplace_front(index, image);
+    place_of_[index] = images_.begin();
+    bytes_ += bytesOf(image);
+    while (bytes_ > kKeptBytes) {
+      bytes_ -= bytesOf(images_.back().second);
+      place_of_.erase(images_.back().first);
+      images_.pop_back();
+    }
+    return image;
+  }
+
+ private:
+  using Images = std::list<std::pair<int, cv::Mat>>;
+
+  static std::size_t bytesOf(const cv::Mat& image) { return image.total() * image.elemSize(); }
+
+  std::optional<cv::Mat> findLocked(int index) {
+    const auto found = place_of_.find(index);
+    if (found == place_of_.end()) return std::nullopt;
+    images_.splice(images_.begin(), images_, found->second);
+    return found->second->second;
+  }
+
+  std::mutex mutex_;
+  Images images_;  // the last used first
+  std::unordered_map<int, Images::iterator> place_of_;
+  std::size_t bytes_ = 0;
+};
+
+/// Places in plan by square cells, so that to find those near to one takes no look at all others.
+class PlanGrid {
+ public:
+  explicit PlanGrid(double cell) : cell_(cell) {}
+
+  void add(const Eigen::Vector3d& place, int index) { cells_[cellOf(place)].push_back(index); }
+
+  /// Calls `visit` with the index of each place that is no more than a cell away along either axis, and some more.
+  template <typename Visit>
+  void around(const Eigen::Vector3d& place, Visit visit) const {
+    const Cell middle = cellOf(place);
+    for (std::int64_t x = middle.first - 1; x <= middle.first + 1; ++x)
+      for (std::int64_t y = middle.second - 1; y <= middle.second + 1; ++y)
+        if (const auto cell = cells_.find({x, y}); cell != cells_.end())
+          for (const int index : cell->second) visit(index);
+  }
+
+ private:
+  using Cell = std::pair<std::int64_t, std::int64_t>;
+
+  Cell cellOf(const Eigen::Vector3d& place) const {
+    return {static_cast<std::int64_t>(std::floor(place.x() / cell_)),
+            static_cast<std::int64_t>(std::floor(place.y() / cell_))};
+  }
+
+  double cell_;  // side [m]
+  std::map<Cell, std::vector<int>> cells_;
+};
+
 }  // namespace
 
 struct FacadeConsistency::Impl {
@@ -51,19 +125,11 @@ struct FacadeConsistency::Impl {
   std::vector<ConsistencyImage> images;
   std::function<cv::Mat(int)> load;
   ConsistencySettings settings;
-
-  mutable std::mutex mutex;
-  mutable std::list<std::pair<int, cv::Mat>> cache;  // the last used first
+  PlanGrid usable;  // images
+  mutable ImageCache cache;
 
   cv::Mat image(int index) const {
-    {
-      const std::lock_guard<std::mutex> lock(mutex);
-      for (auto it = cache.begin(); it != cache.end(); ++it)
-        if (it->first == index) {
-          cache.splice(cache.begin(), cache, it);
-          return it->second;
-        }
-    }
+    if (const auto kept = cache.find(index)) return *kept;
     cv::Mat grey = load(index);
     if (!grey.empty() && grey.channels() == 3) cv::cvtColor(grey, grey, cv::COLOR_BGR2GRAY);
     if (grey.cols > settings.image_width) {
@@ -71,10 +137,7 @@ struct FacadeConsistency::Impl {
       cv::resize(grey, grey, {settings.image_width, static_cast<int>(std::lround(grey.rows * factor))}, 0, 0,
                  cv::INTER_AREA);
     }
-    const std::lock_guard<std::mutex> lock(mutex);
-    cache.emplace_front(index, grey);
-    if (cache.size() > kImages) cache.pop_back();
-    return grey;
+    return cache.keep(index, grey);
   }
 
   // Samples a square of side x side points around `centre`; false where a photograph does not show all of it.
@@ -132,52 +195,66 @@ struct FacadeConsistency::Impl {
       }
     return best;
   }
+
+  double correlation(int own, const std::vector<int>& neighbours, const Eigen::Vector3d& point,
+                     const Eigen::Vector3d& normal) const {
+    constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+    if (std::abs(normal.z()) > 0.9) return kUnknown;
+    const Eigen::Vector3d right = Eigen::Vector3d::UnitZ().cross(normal).normalized(), up = normal.cross(right);
+    const cv::Mat grey = image(own);
+    Patch patch;
+    if (grey.empty() || !window(own, grey, point, right, up, kSide, patch.data()) || !normalise(&patch))
+      return kUnknown;
+    double best = kUnknown;
+    int asked = 0;
+    for (const int index : neighbours) {
+      if (asked == settings.neighbours) break;
+      if (!sees(index, point, normal)) continue;
+      const cv::Mat other = image(index);
+      if (other.empty()) continue;
+      const double found = bestCorrelation(index, other, patch, point, right, up);
+      if (std::isnan(found)) continue;
+      ++asked;
+      best = std::fmax(best, found);
+    }
+    return best;
+  }
 };
 
 FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<ConsistencyImage> images,
                                      std::function<cv::Mat(int)> load, const ConsistencySettings& settings)
-    : impl_(new Impl{model, std::move(images), std::move(load), settings, {}, {}}) {}
+    : impl_(new Impl{model, std::move(images), std::move(load), settings, PlanGrid(settings.max_distance), {}}) {
+  for (std::size_t i = 0; i < impl_->images.size(); ++i)
+    if (impl_->images[i].usable) impl_->usable.add(impl_->images[i].T_world_image.translation(), static_cast<int>(i));
+}
 FacadeConsistency::~FacadeConsistency() = default;
 
-double FacadeConsistency::correlation(int own, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) const {
+std::vector<int> FacadeConsistency::neighbours(int own) const {
   const Impl& d = *impl_;
-  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
-  if (std::abs(normal.z()) > 0.9) return kUnknown;
-  const Eigen::Vector3d right = Eigen::Vector3d::UnitZ().cross(normal).normalized(), up = normal.cross(right);
-  const cv::Mat grey = d.image(own);
-  Patch patch;
-  if (grey.empty() || !d.window(own, grey, point, right, up, kSide, patch.data()) || !normalise(&patch))
-    return kUnknown;
-  std::vector<std::pair<double, int>> neighbours;
+  std::vector<std::pair<double, int>> near;
   const Eigen::Vector3d place = d.images[own].T_world_image.translation();
-  for (std::size_t i = 0; i < d.images.size(); ++i) {
+  d.usable.around(place, [&](int i) {
     const double distance = (d.images[i].T_world_image.translation() - place).norm();
-    if (static_cast<int>(i) != own && d.images[i].usable && distance > d.settings.min_distance &&
-        distance < d.settings.max_distance)
-      neighbours.emplace_back(distance, static_cast<int>(i));
-  }
-  std::sort(neighbours.begin(), neighbours.end());
-  double best = kUnknown;
-  int asked = 0;
-  for (const auto& [distance, index] : neighbours) {
-    if (asked == d.settings.neighbours) break;
-    if (!d.sees(index, point, normal)) continue;
-    const cv::Mat other = d.image(index);
-    if (other.empty()) continue;
-    const double correlation = d.bestCorrelation(index, other, patch, point, right, up);
-    if (std::isnan(correlation)) continue;
-    ++asked;
-    best = std::fmax(best, correlation);
-  }
-  return best;
+    if (i != own && distance > d.settings.min_distance && distance < d.settings.max_distance)
+      near.emplace_back(distance, i);
+  });
+  std::sort(near.begin(), near.end());
+  std::vector<int> indices;
+  for (const auto& [distance, index] : near) indices.push_back(index);
+  return indices;
+}
+
+double FacadeConsistency::correlation(int own, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) const {
+  return impl_->correlation(own, neighbours(own), point, normal);
 }
 
 int FacadeConsistency::apply(int own, View* view) const {
   Features kept;
   std::vector<Eigen::Vector3f> points, normals;
   std::vector<int> rows;
+  const std::vector<int> near = neighbours(own);
   for (std::size_t i = 0; i < view->features.size(); ++i) {
-    const double c = correlation(own, view->points[i].cast<double>(), view->normals[i].cast<double>());
+    const double c = impl_->correlation(own, near, view->points[i].cast<double>(), view->normals[i].cast<double>());
     if (c < impl_->settings.min_correlation) continue;  // NaN stays
     rows.push_back(static_cast<int>(i));
     kept.keypoints.push_back(view->features.keypoints[i]);

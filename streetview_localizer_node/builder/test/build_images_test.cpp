@@ -3,10 +3,12 @@
 #include <sys/wait.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <map>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 
@@ -241,11 +243,59 @@ TEST(BuildImages, GeotagsFarAboveTheGroundAreRemarkedOn) {
   EXPECT_EQ(remarks(3), "");
   const std::string high = remarks(47);
   EXPECT_TRUE(contains(high, "geotags lie 47 m above where") && contains(high, "--geotag-height-offset -47")) << high;
-  EXPECT_TRUE(contains(remarks(-20), "geotags lie 20 m below where"));
+  EXPECT_TRUE(contains(high, "--camera-height 0")) << high;  // a drone's or a mast's: not to be taken to the street
+  const std::string low = remarks(-20);
+  EXPECT_TRUE(contains(low, "geotags lie 20 m below where") && !contains(low, "--camera-height 0")) << low;
   s.geotag_height_offset = -40;  // not enough: the remark tells what would be
   EXPECT_TRUE(contains(remarks(47), "--geotag-height-offset -47"));
   s.geotag_height_offset = -47;
   EXPECT_EQ(remarks(47), "");
+}
+
+// A list beside which the images lie, given by its name alone.
+TEST(BuildImages, BareNamesAreSoughtInTheFolderOneIsIn) {
+  Street street;
+  BuildSettings s = street.settings;
+  s.check_consistency = false;
+  street.listOf("bare.csv", street.lineOf("p0", -12) + street.lineOf("p1", 0) + street.lineOf("none", 12));
+  s.geotags = "bare.csv";
+  const std::filesystem::path before = std::filesystem::current_path();
+  std::filesystem::current_path(street.folder / "");
+  BuildReport report;
+  const std::string m = messageOf([&] { report = buildDatabase(s); });
+  std::filesystem::current_path(before);
+  ASSERT_EQ(m, "");
+  EXPECT_EQ(report.stored, 2);
+  ASSERT_EQ(report.refused.size(), 1u);
+  EXPECT_TRUE(contains(report.refused[0].reason, "is missing: there is no ./none")) << report.refused[0].reason;
+  EXPECT_EQ(loadDatabase(s.output).panoramas.at(0).id, "p0.png");
+}
+
+TEST(BuildImages, ImagesFarFromTheModelAreToldHowFar) {
+  Street street;
+  BuildSettings s = street.settings;
+  const CityModel model = readCityModel(s.model, s.model_options);
+  std::string lines;
+  std::vector<double> nearest;
+  // Around the wall, which reaches from -30 to 30 m: before and beyond 500 m of its ends, and kilometres away.
+  for (const Eigen::Vector2d& place :
+       {Eigen::Vector2d(529, 10), {531, 10}, {-529, 10}, {-400, 411}, {700, -2200}, {0, 9000}}) {
+    const std::string name = "far" + std::to_string(nearest.size()) + ".png";
+    std::filesystem::copy_file(street.folder / "p0.png", street.folder / name);
+    const auto g = street.frame.toGeodetic({place.x(), place.y(), 2});
+    lines += formatted("%s,%.10f,%.10f,%.4f,0,0,0\n", name.c_str(), g.latitude, g.longitude, g.height);
+    nearest.push_back(1e9);
+    for (const auto& v : model.mesh.vertices)
+      nearest.back() = std::min(nearest.back(), (v.cast<double>().head<2>() - place).norm());
+  }
+  s.geotags = street.listOf("far.csv", lines + street.lineOf("p1.png", 0));
+  std::map<std::string, std::string> reasons;
+  for (const auto& refusal : buildDatabase(s).refused) reasons[refusal.image] = refusal.reason;
+  for (std::size_t i = 0; i < nearest.size(); ++i) {
+    const std::string& reason = reasons["far" + std::to_string(i) + ".png"];
+    const std::string far = formatted("lies %ld km from the city model", std::lround(nearest[i] / 1000));
+    EXPECT_TRUE(nearest[i] > 500 ? contains(reason, far) : reason == "sees no facade of the model") << i << reason;
+  }
 }
 
 TEST(BuildImages, ImagesOfRoughPoseHaveNoSayInWhatOthersShow) {

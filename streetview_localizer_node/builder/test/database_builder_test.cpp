@@ -12,7 +12,6 @@
 
 #include "air_ground_common/mesh.h"
 #include "street_files.h"
-#include "streetview_localizer/facade_consistency.h"
 #include "streetview_localizer/textured_model.h"
 #include "xmp_jpeg.h"
 
@@ -416,31 +415,6 @@ TEST(DatabaseBuilder, BrokenInputsGiveOneClearLineEach) {
   EXPECT_NE(error().find("zero.png has the geotag 0,0"), std::string::npos);
   s.geotags.clear();
   EXPECT_NE(error().find("--geotags"), std::string::npos);
-}
-
-TEST(FacadeConsistency, TheWallAgreesAndTheCarDoesNot) {
-  const CityModel model = wallModel();
-  const BackProjector projector(model);
-  std::vector<ConsistencyImage> images(3);
-  for (int i = 0; i < 3; ++i) images[i].T_world_image = panoramaPose(10.0 * (i - 1));
-  // The assumed poses are wrong as after registration.
-  const auto load = [&](int i) {
-    air_ground_common::Pose T = images[i].T_world_image;
-    T.translation() += Eigen::Vector3d(i == 0 ? 0.15 : -0.1, 0.1, 0.05);
-    T.linear() = T.linear() * Eigen::AngleAxisd(i == 2 ? 0.006 : -0.004, Eigen::Vector3d::UnitZ()).toRotationMatrix();
-    return wallPanorama(1024, T, i == 1);
-  };
-  const FacadeConsistency consistency(projector, images, load);
-  const Eigen::Vector3d normal(0, -1, 0);
-  int good = 0, all = 0, car = 0, cars = 0;
-  for (double x = -8; x < 9; x += 0.9)
-    for (double z = 2.6; z < 6; z += 0.9, ++all)
-      good += consistency.correlation(1, {x, 10, z}, normal) > ConsistencySettings().min_correlation;
-  for (double x = 2.2; x < 6.3; x += 0.3, ++cars)
-    car += consistency.correlation(1, {x, 10, 0.4}, normal) > ConsistencySettings().min_correlation;
-  EXPECT_GT(good, 0.9 * all);
-  EXPECT_EQ(car, 0);
-  EXPECT_EQ(cars, 14);
 }
 
 }  // namespace

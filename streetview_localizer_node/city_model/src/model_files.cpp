@@ -167,6 +167,10 @@ class Merger {
       leaveOutStrays(file, &model);
       outside_ = std::max(outside_, normaliseAxes(file, name, &model, &result_->axis_order));
     }
+    if (name.horizontal.empty() && options_.height_unit > 0 && options_.height_unit != 1)
+      throw std::runtime_error(file +
+                               " names no coordinate system: --height-unit would leave its plan in the file's unit; "
+                               "convert it to metres, or give its system, like --crs EPSG:2263");
     const double unit = heightUnitOf(name, options_.height_unit, &height_remark_);
     checkUnity(file, srs, name, unit);
     result_->crs = name.horizontal;

@@ -189,6 +189,20 @@ TEST(ModelFiles, ObjWithYUpAndOriginOfItsOwn) {
   EXPECT_NEAR(sizeOf(placed).z(), 5, 0.01);
 }
 
+// Feet of a file whose plan nothing converts: only its heights would become metres.
+TEST(ModelFiles, AHeightUnitNeedsACoordinateSystem) {
+  const TemporaryFolder folder;
+  const std::string path = folder.write("feet.obj", twoBoxes(false, {0, 0, 0}));
+  CityModelOptions options;
+  options.height_unit = 0.3048;
+  const std::string m = messageOf([&] { readCityModel(path, options); });
+  EXPECT_NE(m.find("feet.obj names no coordinate system"), std::string::npos) << m;
+  EXPECT_NE(m.find("--crs"), std::string::npos) << m;
+  EXPECT_EQ(m.find('\n'), std::string::npos) << m;
+  options.height_unit = 1;
+  EXPECT_LT((sizeOf(readCityModel(path, options)) - Eigen::Vector3f(70, 20, 5)).norm(), 1e-4f);
+}
+
 /// A box of boxFaces() at `o` with `names` (lines of OBJ) before its faces.
 std::string namedBox(const Eigen::Vector3d& o, const std::string& names, int* vertices) {
   std::string text = names;

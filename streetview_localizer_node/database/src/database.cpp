@@ -112,6 +112,9 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
     throw std::runtime_error(path + " holds a view whose lists do not fit together: build it again");
   view.features.descriptors.create(static_cast<int>(n), 128, CV_8U);
   if (n > 0) std::copy(descriptors.begin(), descriptors.end(), view.features.descriptors.data);
+  view.features.keypoints.reserve(n);
+  view.points.reserve(n);
+  view.normals.reserve(n);
   for (std::size_t i = 0; i < n; ++i) {
     const float* k = &keypoints[kKeypointFloats * i];
     view.features.keypoints.emplace_back(k[0], k[1], k[2], k[3], k[4], octaves[i]);
@@ -189,11 +192,13 @@ double freeMemory() {
   return std::numeric_limits<double>::infinity();
 }
 
-/// A process that outgrows the memory ends without a word. Counts images and features alone; the index over them comes
-/// on top.
+/// A process that outgrows the memory ends without a word. Features are read to be searched: what is built over them
+/// counts, too.
 void checkMemory(GDALDataset* dataset, const std::string& path, const std::vector<std::string>& filters,
                  const DatabaseLoadOptions& options) {
-  constexpr double kPixel = 3, kFeature = 128 + 7 * sizeof(float) + 6 * sizeof(float);  // [bytes]
+  // Over a feature: its descriptor twice more (in one matrix, in the graph), links, locks and tables of the graph.
+  constexpr double kIndex = 520;                                                                 // [bytes]
+  constexpr double kPixel = 3, kFeature = 128 + 7 * sizeof(float) + 6 * sizeof(float) + kIndex;  // [bytes]
   double needed = 0;
   for (const std::string& filter : filters) {
     const std::string sql = std::string("SELECT SUM(1.0 * width * height), SUM(1.0 * features) FROM ") + kViewTable +

@@ -77,7 +77,8 @@ struct DatabaseWriter::Impl {
   CityModel model;
   std::vector<Panorama> panoramas;
   std::unordered_map<std::string, GIntBig> row_of;
-  std::unordered_map<std::string, int> views_of;  // -1: planned, not stored
+  std::unordered_map<std::string, int> views_of;          // -1: planned, not stored
+  std::unordered_map<std::string, std::size_t> place_of;  // in panoramas
   bool in_transaction = false;
 
   [[noreturn]] void fail(const std::string& what) {
@@ -210,14 +211,20 @@ struct DatabaseWriter::Impl {
     }
   }
 
+  void note(const Panorama& panorama, GIntBig row, int views) {
+    const auto [place, is_new] = place_of.emplace(panorama.id, panoramas.size());
+    if (is_new)
+      panoramas.push_back(panorama);
+    else
+      panoramas[place->second] = panorama;
+    row_of[panorama.id] = row;
+    views_of[panorama.id] = views;
+  }
+
   void readExisting() {
     OGRLayer* layer = table(kPanoramaTable);
     layer->ResetReading();
-    for (auto& row : layer) {
-      panoramas.push_back(readPanorama(*row, working));
-      row_of[panoramas.back().id] = row->GetFID();
-      views_of[panoramas.back().id] = row->GetFieldAsInteger("views");
-    }
+    for (auto& row : layer) note(readPanorama(*row, working), row->GetFID(), row->GetFieldAsInteger("views"));
   }
 
   void resume(const std::string& settings) {
@@ -369,16 +376,11 @@ void DatabaseWriter::plan(const std::vector<Panorama>& panoramas) {
   Impl& d = *impl_;
   const QuietGdal quiet;
   d.begin();
-  std::vector<std::pair<std::string, GIntBig>> rows;
-  std::vector<Panorama> added;
-  for (const Panorama& panorama : panoramas) {
-    if (d.row_of.count(panorama.id)) continue;
-    rows.emplace_back(panorama.id, d.putPanorama(panorama, -1, 0));
-    added.push_back(panorama);
-  }
+  std::vector<std::pair<const Panorama*, GIntBig>> added;
+  for (const Panorama& panorama : panoramas)
+    if (!d.row_of.count(panorama.id)) added.emplace_back(&panorama, d.putPanorama(panorama, -1, 0));
   d.commit();
-  for (const auto& [id, fid] : rows) d.row_of[id] = fid, d.views_of[id] = -1;
-  d.panoramas.insert(d.panoramas.end(), added.begin(), added.end());
+  for (const auto& [panorama, row] : added) d.note(*panorama, row, -1);
 }
 
 void DatabaseWriter::add(const Panorama& panorama, const std::vector<View>& views) {
@@ -398,13 +400,7 @@ void DatabaseWriter::add(const Panorama& panorama, const std::vector<View>& view
     throw;
   }
   d.commit();
-  if (d.row_of.emplace(panorama.id, fid).second) {
-    d.panoramas.push_back(panorama);
-  } else {
-    for (Panorama& p : d.panoramas)
-      if (p.id == panorama.id) p = panorama;
-  }
-  d.views_of[panorama.id] = static_cast<int>(views.size());
+  d.note(panorama, fid, static_cast<int>(views.size()));
 }
 
 void DatabaseWriter::finish() {

@@ -107,17 +107,18 @@ TEST(Database, PartOfAFileInAGridOfOtherUnits) {
   }
 }
 
-// Of images and features alone: what is larger than the memory is refused before it is read.
+// Images, features and the index over them: what is larger than the memory is refused before it is read.
 TEST(Database, WhatTheMemoryDoesNotHoldIsRefused) {
   const TemporaryFolder folder;
   const std::string path = folder / "a.gpkg";
   writeDatabase(path, 20);
-  // 40 views of 64x48 in three colours, 20 features each: 128 bytes, a keypoint of 28, point and normal.
-  const std::uint64_t view = 64 * 48 * 3 + 20 * (128 + 28 + 24);
+  // 40 views of 64x48 in three colours, 20 features each: 128 bytes, a keypoint of 28, point and normal, and
+  // 520 of the index.
+  const std::uint64_t view = 64 * 48 * 3 + 20 * (128 + 28 + 24 + 520);
   DatabaseLoadOptions options;
   options.memory = 40 * view - 1;
   const std::string m = messageOf([&] { loadDatabase(path, options); });
-  EXPECT_NE(m.find(path + " needs 0.000513 GB of memory, and 0.000513 GB are free: "), std::string::npos) << m;
+  EXPECT_NE(m.find(path + " needs 0.000929 GB of memory, and 0.000929 GB are free: "), std::string::npos) << m;
   EXPECT_NE(m.find("region/"), std::string::npos) << m;
   options.memory = 40 * view;
   EXPECT_EQ(loadDatabase(path, options).views.size(), 40u);
@@ -157,6 +158,22 @@ TEST(Database, KilledBuildLeavesNoFileAndGoesOn) {
   const StreetviewDatabase d = loadDatabase(path);
   ASSERT_EQ(d.panoramas.size(), 4u);
   for (int i = 0; i < 4; ++i) expectPanorama(d, i, i);
+}
+
+TEST(Database, APlannedPanoramaIsReplacedByTheOneThatIsAdded) {
+  const TemporaryFolder folder;
+  DatabaseWriter writer(folder / "a.gpkg", swissModel(), "settings");
+  writer.plan({panoramaAt(0), panoramaAt(1), panoramaAt(2)});
+  Panorama moved = panoramaAt(1);
+  moved.position_stddev = 7;
+  writer.add(moved, viewsAt(1));
+  writer.add(panoramaAt(3), viewsAt(3));
+  writer.add(panoramaAt(0), viewsAt(0));
+  ASSERT_EQ(writer.panoramas().size(), 4u);
+  for (int i = 0; i < 4; ++i) {
+    EXPECT_EQ(writer.panoramas()[i].id, panoramaAt(i).id);
+    EXPECT_EQ(writer.panoramas()[i].position_stddev, i == 1 ? 7 : panoramaAt(i).position_stddev);
+  }
 }
 
 TEST(Database, AddingToAFinishedFileKeepsItUntilDone) {

@@ -33,10 +33,14 @@ struct ConsistencyImage {
 /// Compares squares on the facades between images. Methods are thread-safe.
 class FacadeConsistency {
  public:
-  /// `load`: grey or colour image by its index; called when needed, an empty one is passed over.
+  /// `load`: grey or colour image by its index; called when needed, an empty one is passed over. Up to 512 MB of them
+  /// are kept.
   FacadeConsistency(const BackProjector& model, std::vector<ConsistencyImage> images, std::function<cv::Mat(int)> load,
                     const ConsistencySettings& settings = {});
   ~FacadeConsistency();
+
+  /// The usable images between min_distance and max_distance from image `own`, the nearest first.
+  std::vector<int> neighbours(int own) const;
 
   /// Best correlation, in [-1, 1], of the square around a facade point as image `own` sees it with what its neighbours
   /// see; NaN where no neighbour sees the place, or the square has no texture.

@@ -59,7 +59,8 @@ struct CityModelOptions {
   int lod = -1;
   /// Added to the file's heights [m], for models in another vertical datum than the geotags.
   double height_offset = 0;
-  /// Of the file's heights [m]; 0 = as its vertical system says, metres where it names none.
+  /// Of the file's heights [m]; 0 = as its vertical system says, metres where it names none. Without crs only metres
+  /// are taken: nothing converts the plan.
   double height_unit = 0;
   /// Of the files' coordinates, added before all else, in their units: (easting, northing, height) of the place that an
   /// exporter took for the origin.

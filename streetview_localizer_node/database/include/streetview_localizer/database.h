@@ -48,7 +48,7 @@ struct DatabaseLoadOptions {
   /// Only panoramas within `radius` of this place, given in the database's crs: answered by the file's spatial index.
   std::optional<Eigen::Vector2d> centre;
   double radius = 200;  ///< [m]
-  /// What images and features may take [bytes]; 0 = the memory that the machine has free.
+  /// What images, features and the search index over these may take [bytes]; 0 = the memory that the machine has free.
   std::uint64_t memory = 0;
 };
 
