@@ -128,6 +128,10 @@ TEST(Autosave, WritesUnderNewNamesAndRefusesAFolderThatIsNone) {
   std::ifstream(path) >> text;
   EXPECT_EQ(text, "first");
   EXPECT_THROW(Autosave(path + "/below a file"), std::runtime_error);
+  // Started again at the same time, by a clock without battery.
+  Autosave(folder).save("map.ply", put("third"));
+  Autosave(folder).save("map.ply", put("fourth"));
+  EXPECT_EQ(std::distance(fs::directory_iterator(folder), {}), 3);
   Autosave("").save("map.ply", [](const std::string&) { FAIL() << "no folder is given"; });
   fs::remove_all(testing::TempDir() + "autosave_test");
 }

@@ -64,6 +64,13 @@ TEST(RobotMapSession, TheFrameTellsAMapWithoutScaleFromAMetricOne) {
   EXPECT_EQ(map.frame(), "mav_map") << "what is late does not bring the old map back";
 }
 
+TEST(RobotMapSession, ASlashBeforeAFrameIsNoOtherFrame) {
+  RobotMapSession map("/mav_map", "/mav_visual_map");
+  EXPECT_EQ(map.admit("/mav_map", 1), Verdict::kCurrent);
+  EXPECT_EQ(map.admit("mav_map", 1), Verdict::kCurrent);
+  EXPECT_EQ(map.admit("mav_visual_map", 2), Verdict::kNewMap);
+}
+
 TEST(RobotMapSession, WithoutAFrameGivenTheFirstOneCounts) {
   RobotMapSession map("");
   EXPECT_EQ(map.admit("", 1), Verdict::kOtherFrame);

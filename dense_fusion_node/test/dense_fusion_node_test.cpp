@@ -194,13 +194,18 @@ TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
 
   // What ended is not lost.
   const std::string folder = ros::param::param<std::string>("/dense_fusion/autosave", "");
-  std::size_t kept = 0;
-  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
-    if (entry.path().filename().string().find("_map_map") == std::string::npos) continue;
-    ++kept;
-    EXPECT_GT(air_ground_common::readPlyPoints(entry.path().string()).size(), 5000u) << entry.path();
-  }
-  EXPECT_GE(kept, 2u);
+  const auto kept = [&folder] {
+    std::vector<std::string> maps;
+    for (const auto& entry : std::filesystem::directory_iterator(folder))
+      if (entry.path().filename().string().find("_map_map") != std::string::npos) maps.push_back(entry.path().string());
+    return maps;
+  };
+  for (const std::string& map : kept()) EXPECT_GT(air_ground_common::readPlyPoints(map).size(), 5000u) << map;
+  const std::size_t before = kept().size();
+  EXPECT_GE(before, 2u);
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("dense_fusion/reset", reset));
+  EXPECT_TRUE(spinUntil([&] { return kept().size() == before + 1; })) << "the map at a reset is lost";
   std::filesystem::remove_all(folder);
 }
 

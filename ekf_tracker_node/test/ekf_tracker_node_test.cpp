@@ -214,16 +214,16 @@ TEST_F(EkfTrackerNodeTest, DiagnosticsTellThatTheOdometryDied) {
   EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("no usable visual odometry") == 0; }))
       << diagnostics_.message();
   EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::ERROR);
-  std_srvs::Trigger reset;
-  ASSERT_TRUE(callService("ekf_tracker/reset", reset));
+  const std::size_t before = keptTrajectories();
+  ASSERT_TRUE(reset());
+  EXPECT_EQ(keptTrajectories(), before + 1) << "the trajectory so far is lost";
   EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("forgot the pose") == 0; })) << diagnostics_.message();
   EXPECT_NE(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::OK);
 }
 
 TEST_F(EkfTrackerNodeTest, OdometryOfForeignFramesGivesNoTf) {
   const auto flyIn = [&](const std::string& map, const std::string& base) {
-    std_srvs::Trigger reset;
-    ASSERT_TRUE(callService("ekf_tracker/reset", reset));
+    ASSERT_TRUE(reset());
     tracked_.clear();
     edges_.clear();
     fly(0, 60, map, base);

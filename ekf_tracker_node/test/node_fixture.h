@@ -19,6 +19,7 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <cmath>
+#include <filesystem>
 #include <limits>
 #include <map>
 #include <random>
@@ -75,8 +76,7 @@ class EkfTrackerNodeTest : public ::testing::Test {
       for (const auto& t : m->transforms)
         if (t.child_frame_id == "mav_map") edges_.push_back(t);
     });
-    std_srvs::Trigger reset;
-    ASSERT_TRUE(callService("ekf_tracker/reset", reset) && reset.response.success);
+    ASSERT_TRUE(reset());
     ASSERT_TRUE(spinUntil([&] {
       return increments_.getNumSubscribers() && vo_.getNumSubscribers() && fixes_.getNumSubscribers() &&
              magnetometer_.getNumSubscribers() && gps_.getNumSubscribers() && barometer_.getNumSubscribers() &&
@@ -169,6 +169,21 @@ class EkfTrackerNodeTest : public ::testing::Test {
   bool awaitStamp(int i) {
     return spinUntil(
         [&] { return !tracked_.empty() && tracked_.back().header.stamp >= timeOf(i) - ros::Duration(1e-4); });
+  }
+
+  static bool reset() {
+    std_srvs::Trigger reset;
+    return callService("ekf_tracker/reset", reset) && reset.response.success;
+  }
+
+  /// Saved before the node forgot them, with poses in them.
+  static std::size_t keptTrajectories() {
+    std::size_t kept = 0;
+    const std::string folder = ros::param::param<std::string>("/ekf_tracker/autosave", "");
+    for (const auto& file : std::filesystem::directory_iterator(folder))
+      kept += file.path().filename().string().find("_trajectory_") != std::string::npos &&
+              !air_ground_common::readTum(file.path().string()).empty();
+    return kept;
   }
 
   int results(int result) const {

@@ -41,6 +41,7 @@ bool CameraMotion::addImu(visual_frontend::ImuSample sample) {
   sample.stamp -= time_offset_;
   if (!hasImu() || !imu_.add(sample)) return false;
   attitude_.add(sample);
+  if (!attitude_.atRest()) unrest_ = sample.stamp;
   return true;
 }
 
@@ -170,6 +171,7 @@ void CameraMotion::reset() {
   rows_.setReadoutTime(given_readout_time_);
   intervals_.clear();
   gyro_trusted_ = true;
+  unrest_ = -std::numeric_limits<double>::infinity();
   gyro_bias_.setZero();
   gyro_bias_sigma_ = initial_gyro_bias_;
 }

@@ -1,6 +1,7 @@
 // How the camera moves: by its last two poses, the gyro, and the IMU's biases that come with its motion.
 #pragma once
 
+#include <limits>
 #include <optional>
 #include <string>
 
@@ -50,6 +51,9 @@ class CameraMotion {
   void addPose(double stamp, const Pose& T_map_camera, const Matrix6d& covariance);
 
   const visual_frontend::AttitudeFilter& attitude() const { return attitude_; }
+  /// The IMU felt nothing from the one stamp to the other: the robot stood, or went on evenly [s].
+  bool restedBetween(double from, double to) const { return gyroTrusted() && attitude_.knownAt(to) && unrest_ <= from; }
+  double lastUnrest() const { return unrest_; }  ///< when the IMU last felt something [s]
   bool upKnownAt(double stamp) const { return hasImu() && attitude_.knownAt(stamp); }  ///< by the accelerometer
   Eigen::Vector3d upInBase() const { return *mounting_.R_base_imu * attitude_.up(); }  ///< likewise
   Eigen::Vector3d upInCamera() const { return R_camera_imu_ * attitude_.up(); }        ///< by the accelerometer
@@ -75,6 +79,7 @@ class CameraMotion {
   visual_frontend::RollingShutter rows_;  ///< with the motion during the present frame
   Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
   double gyro_bias_sigma_;
+  double unrest_ = -std::numeric_limits<double>::infinity();  ///< [s]
   bool gyro_trusted_ = true;
   visual_frontend::ImageIntervals intervals_;
   Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]

@@ -56,7 +56,19 @@ HiddenSpace::Place HiddenSpace::placeOf(int x, int y, int layer) {
   return {TileGrid<Tile>::keyOf(tx, ty, tz), (y & (kSide - 1)) * kSide + (x & (kSide - 1)), layer & (kLayers - 1)};
 }
 
-void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free) {
+void HiddenSpace::Tile::count(std::uint16_t* rays, int sign) {
+  const std::uint16_t before = *rays;
+  *rays = static_cast<std::uint16_t>(before + sign);
+  if ((sign > 0) == (*rays > before)) return;
+  if ((rounds[rays] += sign) == 0) rounds.erase(rays);
+}
+
+int HiddenSpace::Tile::countOf(const std::uint16_t* rays) const {
+  const auto it = rounds.find(rays);
+  return *rays + (it == rounds.end() ? 0 : it->second * (1 << 16));
+}
+
+void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free, int sign) {
   const Eigen::Vector3f way = to - from;
   const int steps = static_cast<int>(std::ceil(std::max(way.head<2>().norm() / kStep, std::abs(way.z()) / kLayer)));
   Place last{0, -1, 0};
@@ -69,46 +81,52 @@ void HiddenSpace::mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, f
     if (place.tile == last.tile && place.column == last.column && place.layer == last.layer) continue;
     last = place;
     Tile& tile = tiles_.at(place.tile);
-    std::uint8_t& count = (free ? tile.free : tile.hidden)[place.column][place.layer];
-    if (count < 255) ++count;
+    tile.count(&(free ? tile.free : tile.hidden)[place.column][place.layer], sign);
   }
 }
 
-void HiddenSpace::add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays) {
+void HiddenSpace::cast(const air_ground_common::Pose& T_map_camera, const DepthRays& rays, int sign) {
   const Eigen::Matrix3f R = T_map_camera.linear().cast<float>();
   const Eigen::Vector3f t = T_map_camera.translation().cast<float>();
   const float highest = t.z() + kAbove;
   for (const DepthRays::Ray& ray : rays.rays) {
     const Eigen::Vector3f direction = R * Eigen::Vector3f(ray.x, ray.y, 1);
-    if (ray.free > 0) mark(t, t + std::min(ray.free, kFarthest) * direction, highest, true);
+    if (ray.free > 0) mark(t, t + std::min(ray.free, kFarthest) * direction, highest, true, sign);
     if (ray.occupied > kFarthest) continue;
     const Eigen::Vector3f surface = t + ray.occupied * direction;
-    if (surface.z() < highest) mark(surface, surface + kBehind * direction.normalized(), highest, false);
+    if (surface.z() < highest) mark(surface, surface + kBehind * direction.normalized(), highest, false, sign);
   }
 }
 
 void HiddenSpace::update(const std::vector<PosedPoints>& keyframes) {
   seen_.update(
-      keyframes, [this] { tiles_.clear(); }, [this](const auto& pose, const auto& rays) { add(pose, rays); });
+      keyframes, [this] { tiles_.clear(); },
+      [this](const auto& pose, const auto& rays, int sign) { cast(pose, rays, sign); });
 }
 
-HiddenSpace::Seen HiddenSpace::at(int x, int y, int layer) const {
-  const Place place = placeOf(x, y, layer);
-  const Tile* tile = tiles_.find(place.tile);
-  if (!tile) return Seen::kNot;
-  const int free = tile->free[place.column][place.layer], hidden = tile->hidden[place.column][place.layer];
-  if (hidden > kSurer * free && hidden > 1) return Seen::kHidden;
-  return free > 0 ? Seen::kFree : Seen::kNot;
+HiddenSpace::Seen HiddenSpace::Tile::seen(int column, int layer) const {
+  int free_rays = free[column][layer], hidden_rays = hidden[column][layer];
+  if (!rounds.empty()) {
+    free_rays = countOf(&free[column][layer]);
+    hidden_rays = countOf(&hidden[column][layer]);
+  }
+  if (hidden_rays > kSurer * free_rays && hidden_rays > 1) return Seen::kHidden;
+  return free_rays > 0 ? Seen::kFree : Seen::kNot;
 }
 
 float HiddenSpace::hiddenFrom(const Eigen::Vector3f& point) const {
   constexpr float kNothing = std::numeric_limits<float>::quiet_NaN();
   const int x = static_cast<int>(std::floor(point.x() / kColumn)),
             y = static_cast<int>(std::floor(point.y() / kColumn));
-  const int last = static_cast<int>(std::floor((point.z() + kAbove) / kLayer));
+  const int first = static_cast<int>(std::floor((point.z() + kNoise) / kLayer)),
+            last = static_cast<int>(std::floor((point.z() + kAbove) / kLayer));
+  const int column = placeOf(x, y, first).column;
+  const Tile* tile = nullptr;  // of the layer
   int unseen = 0;
-  for (int layer = static_cast<int>(std::floor((point.z() + kNoise) / kLayer)); layer <= last; ++layer) {
-    switch (at(x, y, layer)) {
+  for (int layer = first; layer <= last; ++layer) {
+    const int in_tile = layer & (kLayers - 1);
+    if (layer == first || in_tile == 0) tile = tiles_.find(placeOf(x, y, layer).tile);
+    switch (tile ? tile->seen(column, in_tile) : Seen::kNot) {
       case Seen::kFree:
         unseen = 0;
         break;

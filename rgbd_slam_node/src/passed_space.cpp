@@ -12,6 +12,7 @@ namespace {
 constexpr float kCube = 0.05f;      // edge [m]
 constexpr float kFarthest = 4;      // rays lie farther apart than cubes are wide [m]
 constexpr float kClearance = 0.1f;  // before a surface: poses and depth err, and its cube is no free one [m]
+constexpr float kMargin = 1;        // beyond the range of the cloud: who is farther away tells of its points, too [m]
 constexpr int kLeast = 3;           // keyframes that see through
 constexpr int kSurer = 2;           // of them, for one that saw something: rays pass beside what is thin
 
@@ -36,34 +37,39 @@ const PassedSpace::Cell* PassedSpace::find(const Index& cell) const {
   return tile ? &tile->cells[inTile(cell)] : nullptr;
 }
 
-void PassedSpace::add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays) {
-  vote_ = static_cast<std::uint8_t>(vote_ == 255 ? 1 : vote_ + 1);
+void PassedSpace::cast(const air_ground_common::Pose& T_map_camera, const DepthRays& rays, int sign) {
   const Eigen::Matrix3f R = T_map_camera.linear().cast<float>();
   const Eigen::Vector3f t = T_map_camera.translation().cast<float>();
-  const auto cellAt = [this](const Eigen::Vector3f& point) -> Cell& {
-    const Index cell = cellOf(point);
-    return tiles_.at(tileOf(cell)).cells[inTile(cell)];
-  };
-  const auto count = [this](std::uint8_t& votes, std::uint8_t& last) {
-    if (last == vote_) return;
-    last = vote_;
-    if (votes < 255) ++votes;
+  std::vector<Tile*> touched;
+  const auto vote = [&](const Eigen::Vector3f& point, bool hit) {
+    const Index index = cellOf(point);
+    Tile& tile = tiles_.at(tileOf(index));
+    if (!tile.touched) touched.push_back(&tile);
+    tile.touched = true;
+    const int place = inTile(index);
+    auto voted = (hit ? tile.hit_now : tile.through_now)[place];
+    if (voted) return;
+    voted = true;
+    std::uint16_t& votes = hit ? tile.cells[place].hit : tile.cells[place].through;
+    votes = static_cast<std::uint16_t>(votes + sign);
   };
   for (const DepthRays::Ray& ray : rays.rays) {
     const Eigen::Vector3f way = R * Eigen::Vector3f(ray.x, ray.y, 1);
-    Cell& surface = cellAt(t + ray.occupied * way);
-    count(surface.hit, surface.hit_last);
+    if (ray.occupied <= max_range_ + kMargin) vote(t + ray.occupied * way, true);
     const float length = way.norm(), end = std::min(ray.free * length, kFarthest) - kClearance;
-    for (float s = 0; s < end; s += 0.7f * kCube) {
-      Cell& passed = cellAt(t + s / length * way);
-      count(passed.through, passed.through_last);
-    }
+    for (float s = 0; s < end; s += 0.7f * kCube) vote(t + s / length * way, false);
+  }
+  for (Tile* tile : touched) {
+    tile->through_now.reset();
+    tile->hit_now.reset();
+    tile->touched = false;
   }
 }
 
 void PassedSpace::update(const std::vector<PosedPoints>& keyframes) {
   seen_.update(
-      keyframes, [this] { tiles_.clear(); }, [this](const auto& pose, const auto& rays) { add(pose, rays); });
+      keyframes, [this] { tiles_.clear(); },
+      [this](const auto& pose, const auto& rays, int sign) { cast(pose, rays, sign); });
 }
 
 bool PassedSpace::isGone(const Eigen::Vector3f& point) const {

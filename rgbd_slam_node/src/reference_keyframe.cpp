@@ -12,6 +12,9 @@ namespace {
 constexpr double kSameView = 0.25;     // of the change of view that makes a keyframe
 constexpr double kNearView = 0.75;     // likewise
 constexpr double kUnknownDepth = 2.0;  // of a scene without landmarks [m]
+constexpr int kLongLasting = 4;        // of its patience: the view no longer changes as it did
+constexpr int kDrivingPast = 2;        // keyframes that are outgrown at one place by a camera that drives past it
+constexpr int kMostOutgrown = 13;      // that count: minutes of patience
 
 int landmarksOf(const Keyframe& keyframe) {
   return static_cast<int>(
@@ -37,8 +40,31 @@ bool ReferenceKeyframe::outgrown(const Map& map, const Keyframe& keyframe, const
          (landmarks < settings_.keyframe_overlap * seen || landmarks < 3 * settings_.min_inliers);
 }
 
+// What moves before a camera that stands hides other landmarks each moment, and may push the pose to and fro: no
+// keyframe lasts.
+void ReferenceKeyframe::set(const Map& map, KeyframeId id) {
+  const bool moved_on = !map.hasKeyframe(id) || changeOfView(map, map.keyframe(id), T_map_place_) > 1;
+  if (moved_on || id_ == visual_frontend::kNoKeyframe) {
+    outgrown_here_ = 0;
+    if (map.hasKeyframe(id)) T_map_place_ = map.keyframe(id).T_map_camera;
+  } else if (frames_ < kLongLasting * patience()) {
+    outgrown_here_ = std::min(outgrown_here_ + 1, kMostOutgrown);
+  } else {
+    outgrown_here_ = std::max(outgrown_here_ - 1, 0);
+  }
+  id_ = id;
+  frames_ = 0;
+}
+
+int ReferenceKeyframe::patience() const {
+  return settings_.keyframe_min_gap << std::max(outgrown_here_ - kDrivingPast, 0);
+}
+
 bool ReferenceKeyframe::due(const Map& map, const Pose& T_map_camera, int landmarks) const {
-  return frames_ >= settings_.keyframe_min_gap && outgrown(map, map.keyframe(id_), T_map_camera, landmarks);
+  const Keyframe& keyframe = map.keyframe(id_);
+  const bool left = changeOfView(map, keyframe, T_map_camera) > 1;
+  return frames_ >= (left ? settings_.keyframe_min_gap : patience()) &&
+         outgrown(map, keyframe, T_map_camera, landmarks);
 }
 
 KeyframeId ReferenceKeyframe::ofView(const Map& map, const visual_frontend::LandmarkTracks& tracks,

@@ -10,11 +10,8 @@ class ReferenceKeyframe {
  public:
   explicit ReferenceKeyframe(const SlamSettings& settings) : settings_(settings) {}
 
-  void reset() { set(visual_frontend::kNoKeyframe); }
-  void set(KeyframeId id) {
-    id_ = id;
-    frames_ = 0;
-  }
+  void reset() { *this = ReferenceKeyframe(settings_); }
+  void set(const visual_frontend::Map& map, KeyframeId id);
   void countFrame() { ++frames_; }
   KeyframeId id() const { return id_; }
 
@@ -32,6 +29,7 @@ class ReferenceKeyframe {
   bool same(const visual_frontend::Map& map, KeyframeId earlier, KeyframeId later) const;
 
  private:
+  int patience() const;  ///< frames for which it lasts though landmarks are lost
   double changeOfView(const visual_frontend::Map& map, const visual_frontend::Keyframe& keyframe,
                       const Pose& T_map_camera) const;
   /// Whether the frame sees other things than the keyframe, by more than the settings allow.
@@ -40,7 +38,9 @@ class ReferenceKeyframe {
 
   SlamSettings settings_;
   KeyframeId id_ = visual_frontend::kNoKeyframe;
-  int frames_ = 0;  // since it became the reference
+  int frames_ = 0;                       // since it became the reference
+  int outgrown_here_ = 0;                // keyframes that soon were, about one place
+  Pose T_map_place_ = Pose::Identity();  // that place
 };
 
 }  // namespace rgbd_slam

@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/covariance.h"
+#include "displacement.h"
 #include "slam_impl.h"
 
 namespace rgbd_slam {
@@ -17,6 +18,11 @@ namespace {
 constexpr double kPlaceRadius = 10;   // of the search for landmarks about where a recognised place puts them [px]
 constexpr double kUpsideDown = -0.7;  // cosine of a base's lean that no robot begins with: signs are wrong
 constexpr double kSameTime = 1e-3;    // of colour and depth: nothing moves much in less [s]
+constexpr double kSecond = 1.01;      // for which adjustments are not asked whether they have finished, and more [s]
+constexpr double kRestFelt = 0.4;     // before it is called one, a rest has lasted for that and some more [s]
+constexpr double kRestShown = 5;      // of a rest, by its poses [s]
+constexpr double kRestRange = 1;      // at which they are compared: turns count, too [m]
+constexpr double kRestSlip = 0.02, kRestSpeed = 0.03;  // by which they may differ at rest [m], [m/s]
 
 }  // namespace
 
@@ -248,6 +254,18 @@ void Slam::Impl::compareTurns(double stamp, const Pose& T_map_camera) {
   next_levelling = 1;
 }
 
+bool Slam::Impl::hasStoodSinceLost(double stamp) const {
+  const double last = frames.lastStamp();
+  if (!motion.restedBetween(last, stamp)) return false;
+  // An even motion feels like rest: the poses of that rest tell the two apart, though somebody may push them a little.
+  const double begin = std::max(motion.lastUnrest() - kRestFelt, last - kRestShown);
+  std::size_t first = frames.size() - 1;
+  while (first > 0 && frames.stamp(first - 1) > begin) --first;
+  const double shown = last - frames.stamp(first),
+               moved = displacement(frames.pose(first, map), lastPose(), kRestRange);
+  return shown >= 0.5 * kRestFelt && moved < kRestSlip + kRestSpeed * shown;
+}
+
 void Slam::Impl::beLost(SlamResult* result) {
   state = State::kLost;
   ++counters.lost_frames;
@@ -300,7 +318,7 @@ visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images, Keyf
   describe(images, *query);
   const auto with_depth =
       std::count_if(query->orb_depth.begin(), query->orb_depth.end(), [](double z) { return z > 0; });
-  if (with_depth >= settings.min_start_features) search.sawAPlace();
+  if (with_depth >= settings.min_start_features && !hasStoodSinceLost(images.stamp)) search.sawAPlace();
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = lastPose();
   gate.max_distance = settings.relocalization_slack + settings.max_speed * (images.stamp - frames.lastStamp());
@@ -357,6 +375,8 @@ SlamResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, 
 }
 
 bool Slam::finish() { return impl_->whole.runs() && impl_->takeWhole(); }
+bool Slam::adoptFinished() { return impl_->adoptWhole(impl_->last_stamp + kSecond); }
+bool Slam::adjusting() const { return impl_->whole.runs(); }
 
 air_ground_common::Trajectory Slam::trajectory() const { return impl_->frames.poses(impl_->map); }
 

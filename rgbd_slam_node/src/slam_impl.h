@@ -41,6 +41,8 @@ struct Slam::Impl {
   TrackedPose relocalize(const RgbdImages& images);
   TrackedPose relocalizeByImages(const RgbdImages& images);
   visual_frontend::PlaceMatch recognize(const RgbdImages& images, Keyframe* query);
+  /// It stood when it was lost, and stands still: what is strange before the lens has come there.
+  bool hasStoodSinceLost(double stamp) const;
   void beLost(SlamResult* result);
   EndedMap asEnded() const { return {frames.poses(map), dense.posed(map)}; }
   /// Compares the turn from the last frame to this one with the gyro's, and goes on without a gyro that contradicts.

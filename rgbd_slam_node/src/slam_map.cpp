@@ -80,7 +80,7 @@ int Slam::Impl::featuresWithDepth(const RgbdImages& images) const {
 
 void Slam::Impl::setReference(KeyframeId id) {
   dense.finish();
-  reference.set(id);
+  reference.set(map, id);
   tracking.postponeReobservation();
 }
 

@@ -68,7 +68,7 @@ struct Tracked : ::testing::Test, Floor {
       o.landmark = map.addLandmark(keyframe.T_map_camera * (o.depth * o.normalized.homogeneous()));
       tracks.assign(o.track, o.landmark);
     }
-    reference.set(map.addKeyframe(keyframe));
+    reference.set(map, map.addKeyframe(keyframe));
     frames.add(0, keyframe.T_map_camera, reference.id(), map);
   }
   TrackedPose track(const Pose& T, double stamp) {
@@ -193,7 +193,7 @@ struct InARoom : ::testing::Test {
       if (keyframe.observations[i].landmark != kNoLandmark)
         map.landmark(keyframe.observations[i].landmark).observations = {{id, static_cast<int>(i)}};
     surfaces.add(id, surfaces.surfaceOf(frame.depth, motion.rows()));
-    reference.set(id);
+    reference.set(map, id);
     frames.add(0, keyframe.T_map_camera, id, map);
   }
   TrackedPose track(const simulated::Robot::Frame& frame, double stamp) {

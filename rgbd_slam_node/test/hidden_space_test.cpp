@@ -81,6 +81,87 @@ TEST(HiddenSpace, FollowsItsKeyframes) {
   EXPECT_TRUE(std::isnan(grown.hiddenFrom({0, 0, 0})));
 }
 
+bool sameHidden(const HiddenSpace& a, const HiddenSpace& b) {
+  for (double x = -1.5; x < 1.5; x += 0.03) {
+    for (double y = -1.5; y < 1.5; y += 0.03) {
+      const Eigen::Vector3f p = Eigen::Vector3d(x, y, 0.004).cast<float>();
+      const float of_a = a.hiddenFrom(p), of_b = b.hiddenFrom(p);
+      if (!(of_a == of_b || (std::isnan(of_a) && std::isnan(of_b)))) return false;
+    }
+  }
+  return true;
+}
+
+TEST(HiddenSpace, AKeyframeThatIsReplacedLeavesNothing) {
+  std::vector<Box> scene = room();
+  for (const Box& box : table(0.45)) scene.push_back(box);
+  auto keyframes = roundTrip(scene, {0, 0}, 1.6, 0.35, 0.01);
+  HiddenSpace grown;
+  grown.update(keyframes);
+  for (int i = 0; i < 8; ++i) {
+    PosedPoints& k = keyframes[2 * i];
+    k.keyframe += 100;
+    k.T_map_camera.pretranslate(Eigen::Vector3d(0.04, 0.01 * i, 0.03));
+    if (i == 5) k.rays = keyframes[3].rays;
+    grown.update(keyframes);
+    HiddenSpace fresh;
+    fresh.update(keyframes);
+    ASSERT_TRUE(sameHidden(grown, fresh)) << i;
+  }
+}
+
+TEST(HiddenSpace, CountsManyRays) {
+  const auto keyframe = [](int number, int times, double low, double high, float free, float occupied) {
+    DepthRays rays;
+    for (double z = low; z < high; z += 0.01)
+      rays.rays.insert(rays.rays.end(), times, {0, static_cast<float>(0.2 - z), free, occupied});
+    return PosedPoints{cameraAt({0, 0, 0.2}, 0, 0), nullptr, number, std::make_shared<const DepthRays>(rays)};
+  };
+  // Free layers above the floor 1 m ahead, one above them that ten rays call hidden, and 2^16 that went through it.
+  const PosedPoints below = keyframe(0, 1, 0.06, 0.3, 2, 5), hides = keyframe(1, 10, 0.311, 0.32, 0.8F, 0.85F),
+                    many = keyframe(2, 1 << 16, 0.311, 0.32, 2, 5);
+  HiddenSpace space;
+  space.update({below, hides});
+  const Eigen::Vector3f p(1.01F, 0.01F, 0);
+  EXPECT_NEAR(space.hiddenFrom(p), 0.3, 0.021);
+  space.update({below, hides, many});
+  EXPECT_TRUE(std::isnan(space.hiddenFrom(p)));
+  space.update({below, hides});
+  EXPECT_NEAR(space.hiddenFrom(p), 0.3, 0.021);
+}
+
+TEST(SeenKeyframes, OnlyThoseThatChangedAreCast) {
+  std::vector<PosedPoints> keyframes;
+  for (int i = 0; i < 16; ++i)
+    keyframes.push_back({cameraAt({0.1 * i, 0, 0}, 0, 0), nullptr, i, std::make_shared<const DepthRays>()});
+  SeenKeyframes seen;
+  int cleared = 0, added = 0, taken = 0;
+  const auto update = [&] {
+    cleared = added = taken = 0;
+    seen.update(
+        keyframes, [&] { ++cleared; },
+        [&](const Pose&, const DepthRays&, int sign = 1) { ++(sign > 0 ? added : taken); });
+  };
+  update();
+  EXPECT_EQ(added, 16);
+  keyframes[5].keyframe = 20;
+  update();
+  EXPECT_EQ(added, 1) << "replaced";
+  EXPECT_EQ(taken, 1);
+  keyframes[6].T_map_camera.translation().x() += 0.03;
+  keyframes[7].T_map_camera.translation().x() += 0.02;
+  keyframes.pop_back();
+  update();
+  EXPECT_EQ(added, 1) << "moved";
+  EXPECT_EQ(taken, 2);
+  EXPECT_EQ(cleared, 0);
+  for (int i = 0; i < 10; ++i) keyframes[i].T_map_camera.translation().y() += 1;
+  update();
+  EXPECT_EQ(cleared, 1) << "most are elsewhere: anew is less work";
+  EXPECT_EQ(added, 15);
+  EXPECT_EQ(taken, 0);
+}
+
 TEST(DepthRays, WhatIsNotKnownIsNotFree) {
   const CameraModel c = camera();
   cv::Mat depth(c.height, c.width, CV_32F, cv::Scalar(2.0f));

@@ -3,6 +3,7 @@
 
 #include "../src/place_search.h"
 #include "../src/reference_keyframe.h"
+#include "simulated_robot.h"
 
 namespace rgbd_slam {
 namespace {
@@ -98,7 +99,7 @@ struct Reference : ::testing::Test {
     settings.min_inliers = 15;
     for (int i = 0; i < 100; ++i) landmarks.push_back(map.addLandmark({0.01 * i - 0.5, 0, 2}));
     id = add(moved(0));
-    reference.set(id);
+    reference.set(map, id);
     for (int i = 0; i < 3; ++i) reference.countFrame();
   }
   static Pose moved(double distance, double angle = 0) {
@@ -143,7 +144,7 @@ TEST_F(Reference, IsOutgrownByLandmarksLostFromAnotherPlace) {
 }
 
 TEST_F(Reference, LastsSomeFrames) {
-  reference.set(id);
+  reference.set(map, id);
   reference.countFrame();
   reference.countFrame();
   EXPECT_FALSE(due(moved(1)));
@@ -151,6 +152,26 @@ TEST_F(Reference, LastsSomeFrames) {
   EXPECT_TRUE(due(moved(1)));
   reference.reset();
   EXPECT_EQ(reference.id(), kNoKeyframe);
+}
+
+TEST_F(Reference, LastsEverLongerWhereTheViewOfOneThatStandsChanges) {
+  const auto lasted = [&] {
+    int frames = 0;
+    for (; !due(moved(0.02), 40); ++frames) reference.countFrame();
+    return frames;
+  };
+  EXPECT_EQ(lasted(), 0);
+  for (const int expected : {3, 3, 6, 12, 24, 48}) {
+    reference.set(map, add(moved(0.01)));
+    EXPECT_EQ(lasted(), expected);
+  }
+  for (int i = 0; i < 192; ++i) reference.countFrame();
+  reference.set(map, add(moved(0.01)));
+  EXPECT_EQ(lasted(), 24) << "it has been quiet";
+  EXPECT_TRUE(due(moved(0.5), 100));
+  reference.set(map, add(moved(0.5)));
+  for (int i = 0; i < 3; ++i) reference.countFrame();
+  EXPECT_TRUE(due(moved(0.52), 40)) << "another place";
 }
 
 TEST_F(Reference, AnEarlierKeyframeOfThatViewServesAgain) {
@@ -173,6 +194,59 @@ TEST_F(Reference, ASmallShareOfAViewAwayIsTheSamePlace) {
   EXPECT_FALSE(reference.same(map, id, add(moved(0.08))));
   EXPECT_TRUE(reference.same(map, id, add(moved(0, 0.045))));
   EXPECT_FALSE(reference.same(map, id, add(moved(0, 0.055))));
+}
+
+/// What a robot that stands sees of a bare floor with two spots, and of somebody in a coat with a pattern who sways 1 m
+/// before it: he leaves one of the spots to be seen.
+struct Visitor {
+  Visitor(const cv::Size& spot, const cv::Size& pattern) : coat(480, 352, CV_8U, cv::Scalar(90)) {
+    robot.rest = 1e3;
+    robot.mounting.T_base_camera.linear() = Eigen::AngleAxisd(M_PI, Eigen::Vector3d::UnitX()).toRotationMatrix();
+    const cv::Rect at({180, 200}, pattern);
+    simulated::synthetic::texture(900, 21)(at).copyTo(coat(at));
+    simulated::synthetic::Random random(2);
+    for (int i = 0; i < 4; ++i) {
+      const auto seen = robot.frame(0.1 * i, random);
+      cv::Mat bare(seen.gray.size(), CV_8U, cv::Scalar(120));
+      for (const cv::Rect& shown : {cv::Rect({540, 200}, spot), cv::Rect(250, 200, 150, 150)})
+        seen.gray(shown).copyTo(bare(shown));
+      views.push_back({bare, seen.depth});
+    }
+  }
+  simulated::Robot::Frame view(int i) const {
+    simulated::Robot::Frame frame{views[i % views.size()].gray.clone(), views[i % views.size()].depth.clone()};
+    if (i < 60) return frame;
+    const cv::Rect body(140 + static_cast<int>(std::lround(30 * std::sin(2 * M_PI * i / 45))), 0, 352, 480);
+    coat.copyTo(frame.gray(body));
+    frame.depth(body).setTo(1.0F);
+    return frame;
+  }
+
+  static constexpr int kFrames = 660;
+  simulated::Robot robot;
+  cv::Mat coat;
+  std::vector<simulated::Robot::Frame> views;
+};
+
+TEST(Keyframes, SomebodyWhoMovesBeforeARobotThatStandsMakesFew) {
+  for (const int spot : {260, 190}) {  // some 33 and 27 landmarks
+    const Visitor visitor({95, spot}, {120, 115});
+    Slam slam(visitor.robot.camera, visitor.robot.mounting, {});
+    simulated::synthetic::Random random(7);
+    double next_imu = 0;
+    int tracked = 0;
+    for (int i = 0; i < Visitor::kFrames; ++i) {
+      const double t = i / 30.0;
+      for (; next_imu <= t + 0.005; next_imu += 0.005) slam.addImu(visitor.robot.imu(next_imu, random));
+      const auto frame = visitor.view(i);
+      const SlamResult r = slam.process(t, frame.gray, cv::Mat(), frame.depth);
+      tracked += r.state == State::kTracking;
+    }
+    EXPECT_EQ(slam.mapId(), 1);
+    EXPECT_LE(slam.counters().keyframes, 25) << spot;
+    EXPECT_LE(slam.map().keyframeCount(), 15u) << spot;
+    EXPECT_GT(tracked, Visitor::kFrames - 10) << spot;
+  }
 }
 
 }  // namespace

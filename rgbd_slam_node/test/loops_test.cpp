@@ -2,6 +2,10 @@
 // its map, at once or beside the tracking.
 #include <gtest/gtest.h>
 
+#include <chrono>
+#include <functional>
+#include <thread>
+
 #include "simulated_robot.h"
 
 namespace rgbd_slam {
@@ -35,8 +39,10 @@ struct Outcome {
   }
 };
 
-/// Until that time, or until the first loop.
-Outcome aRound(const SlamSettings& settings, double until, bool to_first_loop = false) {
+/// Until that time, or until the first loop; `then` ends it.
+Outcome aRound(
+    const SlamSettings& settings, double until, bool to_first_loop = false,
+    const std::function<void(Slam&)>& then = [](Slam& slam) { slam.finish(); }) {
   Robot robot;
   robot.mounting.R_base_imu.reset();
   robot.tilt.setZero();
@@ -54,7 +60,7 @@ Outcome aRound(const SlamSettings& settings, double until, bool to_first_loop = 
     run.stamps.push_back(next.stamps.front());
     run.truth.push_back(next.truth.front());
   }
-  slam.finish();
+  then(slam);
   return {std::move(run), slam.trajectory(), slam.counters().loops};
 }
 
@@ -96,6 +102,30 @@ TEST(Loops, WhatIsSavedHasTheAdjustmentThatStillRuns) {
   for (std::size_t i = 0; i < beside.trajectory.size(); ++i)
     EXPECT_LT((beside.trajectory[i].T_map_body.translation() - at_once.trajectory[i].T_map_body.translation()).norm(),
               1e-3);
+}
+
+// Services are called between images, which wait meanwhile.
+TEST(Loops, WhatIsSavedWhileImagesComeWaitsForNoAdjustment) {
+  using Clock = std::chrono::steady_clock;
+  SlamSettings settings = settingsOf(true);
+  settings.synchronous = false;
+  Clock::duration adjustment{};
+  aRound(settings, 0, true, [&](Slam& slam) {
+    ASSERT_TRUE(slam.adjusting());
+    const auto begin = Clock::now();
+    EXPECT_FALSE(slam.adoptFinished()) << "it has just begun";
+    const Clock::duration waited = Clock::now() - begin;
+    EXPECT_TRUE(slam.adjusting());
+    EXPECT_TRUE(slam.finish());
+    EXPECT_FALSE(slam.adjusting());
+    adjustment = Clock::now() - begin;
+    EXPECT_LT(10 * waited, adjustment);
+  });
+  aRound(settings, 0, true, [&](Slam& slam) {
+    std::this_thread::sleep_for(4 * adjustment + std::chrono::seconds(1));
+    EXPECT_TRUE(slam.adoptFinished()) << "what has finished is in the file";
+    EXPECT_FALSE(slam.adjusting());
+  });
 }
 
 }  // namespace

@@ -83,6 +83,50 @@ TEST(Lost, AHandBeforeTheLensOfAStandingRobotEndsNoMap) {
   EXPECT_EQ(slam.counters().maps, 1);
 }
 
+/// The IMU is the robot's, the images are of another place: as if somebody stood before the lens.
+SlamResult seeStrange(const Robot& robot, Slam& slam, double from, double to) {
+  Robot elsewhere = robot;
+  elsewhere.texture = simulated::synthetic::texture(1800, 8);
+  elsewhere.texture.convertTo(elsewhere.texture, -1, 1.8, -102);
+  simulated::synthetic::Random random(23);
+  auto frame = elsewhere.frame(0, random);
+  frame.depth.setTo(0.8F);
+  SlamResult last;
+  double next_imu = from - 0.1 + 0.01;
+  for (double stamp = from; stamp < to; stamp += 0.1) {
+    for (; next_imu <= stamp + 0.005; next_imu += robot.imu_step) slam.addImu(robot.imu(next_imu, random));
+    last = slam.process(stamp, frame.gray, cv::Mat(), frame.depth);
+  }
+  return last;
+}
+
+TEST(Lost, SomebodyBeforeARobotThatStandsEndsNoMap) {
+  Robot robot;
+  robot.rest = 1e3;
+  Slam slam(robot.camera, robot.mounting, {});
+  drive(robot, slam, 0, 4);
+  EXPECT_EQ(seeStrange(robot, slam, 4.1, 12.1).state, State::kLost);
+  SlamResult last;
+  for (double stamp = 12.1; stamp < 12.6; stamp += 0.1) last = take(robot, slam, {stamp, 2});
+  EXPECT_EQ(last.state, State::kTracking) << last.reason;
+  EXPECT_EQ(slam.mapId(), 1);
+}
+
+TEST(Lost, ARobotThatMovesAmongStrangePlacesBeginsANewMap) {
+  Robot sets_off, drives_evenly;
+  sets_off.rest = 6;
+  drives_evenly.radius = 1e3;  // without a turn or a force that an IMU would feel
+  for (const double lost_at : {2.4, 2.5, 2.6, 4.0}) {
+    for (const Robot& robot : {sets_off, drives_evenly}) {
+      Slam slam(robot.camera, robot.mounting, {});
+      drive(robot, slam, 0, lost_at);
+      EXPECT_EQ(slam.mapId(), 1);
+      seeStrange(robot, slam, lost_at + 0.1, lost_at + 10.1);
+      EXPECT_EQ(slam.mapId(), 2) << robot.radius << ", " << lost_at;
+    }
+  }
+}
+
 // Where it was lost it knew less of its place than where it began, and is found.
 TEST(Lost, FoundAgainItsCovarianceIsThatOfThePlace) {
   Robot robot;

@@ -82,5 +82,52 @@ TEST(PassedSpace, FollowsItsKeyframes) {
   EXPECT_EQ(goneShare(space, {person.low + shift, person.high + shift}), 0) << "only two have looked";
 }
 
+TEST(PassedSpace, AKeyframeThatIsReplacedLeavesNothing) {
+  const Box person{{-0.2, -0.15, 0.12}, {0.2, 0.15, 0.7}};
+  auto keyframes = testing::roundTripIn(
+      [&](int i) {
+        std::vector<Box> scene = testing::room();
+        if (i % 4 == 0) scene.push_back(person);
+        return scene;
+      },
+      {0, 0}, 1.6, 0.4, 0.01);
+  PassedSpace grown;
+  grown.update(keyframes);
+  for (int i = 0; i < 8; ++i) {
+    keyframes[2 * i].keyframe += 100;
+    keyframes[2 * i].T_map_camera.pretranslate(Eigen::Vector3d(0.04, 0.01 * i, 0.03));
+    grown.update(keyframes);
+    PassedSpace fresh;
+    fresh.update(keyframes);
+    for (double x = -0.5; x < 0.5; x += 0.02)
+      for (double y = -0.5; y < 0.5; y += 0.02)
+        for (double z = 0; z < 0.9; z += 0.02) {
+          const Eigen::Vector3f p = Eigen::Vector3d(x, y, z).cast<float>();
+          ASSERT_EQ(grown.isGone(p), fresh.isGone(p)) << i << ": " << p.transpose();
+        }
+  }
+}
+
+// In a yard depth may reach 60 m: what is out there is no part of the cloud.
+TEST(PassedSpace, NothingIsKeptOfWhatIsFarBeyondTheCloud) {
+  const auto tiles = [](float nearest, float farthest) {
+    std::vector<PosedPoints> keyframes;
+    for (int i = 0; i < 20; ++i) {
+      DepthRays rays;
+      for (int k = 0; k < 2000; ++k) {
+        const float depth = nearest + (farthest - nearest) * static_cast<float>(k * 37 % 2000) / 2000;
+        rays.rays.push_back({0.02F * (k % 50 - 25), 0.02F * (k / 50 - 20), 6, depth});
+      }
+      keyframes.push_back(
+          {testing::cameraAt({0.5 * i, 0, 0.5}, 0.3 * i, 0.1), nullptr, i, std::make_shared<const DepthRays>(rays)});
+    }
+    PassedSpace space(4);
+    space.update(keyframes);
+    return space.tiles();
+  };
+  EXPECT_EQ(tiles(20, 60), tiles(1e3F, 1e4F));
+  EXPECT_GT(tiles(4, 4.5), tiles(20, 60)) << "near ones count";
+}
+
 }  // namespace
 }  // namespace rgbd_slam

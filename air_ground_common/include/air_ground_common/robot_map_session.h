@@ -23,8 +23,8 @@ class RobotMapSession {
 
   /// `frame`: of the map; empty: the first that comes. `frame_without_scale`, unless empty: of a map whose unit is its
   /// own. A robot that gets its scale, or loses it, begins another map.
-  explicit RobotMapSession(std::string frame, std::string frame_without_scale = "")
-      : expected_(std::move(frame)), without_scale_(std::move(frame_without_scale)) {}
+  explicit RobotMapSession(const std::string& frame, const std::string& frame_without_scale = "")
+      : expected_(withoutSlash(frame)), without_scale_(withoutSlash(frame_without_scale)) {}
 
   /// Whether the robot's map may be in this frame.
   bool knows(const std::string& message_frame) const {

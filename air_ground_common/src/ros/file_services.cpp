@@ -39,6 +39,12 @@ void writePcd(const std::string& path, const std::vector<CloudPoint>& points, Cl
   writeAtomically(path, body, "# .PCD");
 }
 
+bool holdsFilesOf(const std::string& begin, const std::string& folder) {
+  for (const auto& file : std::filesystem::directory_iterator(folder))
+    if (file.path().filename().string().compare(0, begin.size(), begin) == 0) return true;
+  return false;
+}
+
 }  // namespace
 
 std::string absolutePath(const std::string& path) {
@@ -73,7 +79,11 @@ Autosave::Autosave(const std::string& given) {
   const std::time_t now = std::time(nullptr);
   char time[32];
   std::strftime(time, sizeof time, "%Y%m%d-%H%M%S", std::gmtime(&now));
-  begin_ = (std::filesystem::path(folder) / (node + "_" + time + "_")).string();
+  // Without a battery for its clock, a robot may start twice at one time.
+  std::string start = node + "_" + time;
+  for (int again = 2; holdsFilesOf(start + "_", folder); ++again)
+    start = node + "_" + time + "-" + std::to_string(again);
+  begin_ = (std::filesystem::path(folder) / (start + "_")).string();
 }
 
 void Autosave::save(const std::string& what, const std::function<void(const std::string&)>& save) const {

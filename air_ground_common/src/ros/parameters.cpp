@@ -35,7 +35,9 @@ void ServerReader::finish() const {
   for (const auto& full : names) {
     if (full.compare(0, prefix.size(), prefix) == 0 && !isKnown(full.substr(prefix.size())))
       throw ParameterError("parameter " + full +
-                           " is not one of this node's; see its file in config/ for the names it reads");
+                           " is not one of this node's; see its file in config/ for the names it reads. If no file of "
+                           "yours sets it any more, it is left on the master from an earlier launch: rosparam delete " +
+                           full);
   }
 }
 

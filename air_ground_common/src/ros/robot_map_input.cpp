@@ -68,7 +68,7 @@ void RobotMapInput::observe(std::uint32_t id, const ros::Time& stamp, bool secon
 }
 
 bool RobotMapInput::isFrame(const std::string& frame, const std::string& expected, const std::string& what) const {
-  if (!frame.empty() && withoutSlash(frame) == expected) return true;
+  if (!frame.empty() && withoutSlash(frame) == withoutSlash(expected)) return true;
   health_.count(what + " in frame '" + frame + "' dropped: expected '" + expected + "'");
   return false;
 }

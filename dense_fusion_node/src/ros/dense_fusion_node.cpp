@@ -125,6 +125,7 @@ class DenseFusionNode {
   void perform(const Work& work) {
     switch (work.kind) {
       case Work::Kind::kReset:
+        saveEndedMap();
         return startMap();
       case Work::Kind::kImage: {
         const air_ground::PosedImage& msg = *work.image;
@@ -151,6 +152,10 @@ class DenseFusionNode {
   /// The map has ended, and with it what save_map writes.
   void keepEndedMap() {
     if (const auto fused = guarded([this] { return mapper_.flush(); })) map_.add(fused->depth_map.stamp, fused->points);
+    saveEndedMap();
+  }
+
+  void saveEndedMap() {
     if (map_.size() == 0) return;
     autosave_.save("map_map" + std::to_string(++ended_maps_) + ".ply",
                    [this](const std::string& path) { map_.write(path); });

@@ -195,6 +195,9 @@ class EkfTrackerNode {
     fixes_.clear();
     tracker_.reset();
     bridge_.reset();
+    if (!publisher_.trajectory().empty())
+      autosave_.save("trajectory_" + std::to_string(++ended_trajectories_) + ".txt",
+                     [this](const std::string& path) { air_ground_common::writeTum(path, publisher_.trajectory()); });
     publisher_.reset();
     report_.reset();
   }
@@ -232,6 +235,7 @@ class EkfTrackerNode {
   FixInput fixes_;
   Synchronizer synchronizer_{settings_.odometry_wait, attitude_.tilts()};
   ru::TimeJumpDetector clock_;
+  int ended_trajectories_ = 0;  // kept
   ros::Subscriber increments_, gps_, barometer_;
   ros::ServiceServer reset_, save_;
   ros::WallTimer timer_;

@@ -5,6 +5,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <memory>
+#include <unordered_map>
 #include <vector>
 
 #include "air_ground_common/camera_model.h"
@@ -34,8 +35,8 @@ struct DepthRays {
 /// surface was in the way. One thread uses it.
 class HiddenSpace {
  public:
-  /// The rays of all keyframes as they stand now, each with its number. Those that are new are added; where one has
-  /// moved by some centimetres, or is missing, all are looked at anew, some 10 ms each.
+  /// The rays of all keyframes as they stand now, each with its number. Those that are new are added, those that are
+  /// missing taken out, and those that have moved by some centimetres both: some 10 ms each time.
   void update(const std::vector<PosedPoints>& keyframes);
 
   /// Height in the map from which on a surface hides what is above the point, which has free space above it up to there
@@ -47,19 +48,24 @@ class HiddenSpace {
  private:
   static constexpr int kSideBits = 4, kSide = 1 << kSideBits;      // columns along the edge of a tile
   static constexpr int kLayerBits = 6, kLayers = 1 << kLayerBits;  // of a tile
+  enum class Seen { kNot, kFree, kHidden };
+  /// What is taken out again has to be counted without end: the rest of counts that two bytes do not hold is apart.
   struct Tile {
-    std::uint8_t free[kSide * kSide][kLayers] = {};
-    std::uint8_t hidden[kSide * kSide][kLayers] = {};
+    std::uint16_t free[kSide * kSide][kLayers] = {};
+    std::uint16_t hidden[kSide * kSide][kLayers] = {};
+    std::unordered_map<const std::uint16_t*, int> rounds;  // of 2^16 rays, by the counter
+    void count(std::uint16_t* rays, int sign);
+    int countOf(const std::uint16_t* rays) const;
+    Seen seen(int column, int layer) const;
   };
   struct Place {
     std::int64_t tile;
     int column, layer;
   };
   static Place placeOf(int x, int y, int layer);
-  enum class Seen { kNot, kFree, kHidden };
-  Seen at(int x, int y, int layer) const;
-  void add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays);
-  void mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free);
+  /// `sign` -1: takes out again what was cast with 1.
+  void cast(const air_ground_common::Pose& T_map_camera, const DepthRays& rays, int sign);
+  void mark(const Eigen::Vector3f& from, const Eigen::Vector3f& to, float highest, bool free, int sign);
 
   TileGrid<Tile> tiles_;
   SeenKeyframes seen_;

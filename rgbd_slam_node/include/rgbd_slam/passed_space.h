@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <bitset>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -17,6 +18,10 @@ namespace rgbd_slam {
 /// keyframes; as in Hornung et al., OctoMap, 2013). One thread uses it.
 class PassedSpace {
  public:
+  /// The cloud holds points of up to `max_range` before the keyframes (CloudSettings) [m]: surfaces farther away than
+  /// that tell nothing of them.
+  explicit PassedSpace(double max_range = CloudSettings().max_range) : max_range_(static_cast<float>(max_range)) {}
+
   /// As HiddenSpace::update.
   void update(const std::vector<PosedPoints>& keyframes);
 
@@ -27,26 +32,29 @@ class PassedSpace {
   std::size_t dropGone(std::vector<CloudPoint>* cloud) const;
 
   void clear();
+  std::size_t tiles() const { return tiles_.size(); }  ///< of 17 kB each
 
  private:
-  static constexpr int kSideBits = 4, kSide = 1 << kSideBits;  // of a tile
+  static constexpr int kSideBits = 4, kSide = 1 << kSideBits, kCells = kSide * kSide * kSide;  // of a tile
   struct Cell {
-    std::uint8_t through = 0, hit = 0;            // keyframes
-    std::uint8_t through_last = 0, hit_last = 0;  // keyframe that was counted last; 0: none
+    std::uint16_t through = 0, hit = 0;  // keyframes
   };
   struct Tile {
-    Cell cells[kSide * kSide * kSide];
+    Cell cells[kCells];
+    std::bitset<kCells> through_now, hit_now;  // by the keyframe that is being cast
+    bool touched = false;                      // likewise
   };
   using Index = Eigen::Vector3i;
   static std::int64_t tileOf(const Index& cell);  // its key
   static int inTile(const Index& cell);
   static Index cellOf(const Eigen::Vector3f& point);
   const Cell* find(const Index& cell) const;
-  void add(const air_ground_common::Pose& T_map_camera, const DepthRays& rays);
+  /// `sign` -1: takes out again what was cast with 1.
+  void cast(const air_ground_common::Pose& T_map_camera, const DepthRays& rays, int sign);
 
+  float max_range_;  // [m]
   TileGrid<Tile> tiles_;
   SeenKeyframes seen_;
-  std::uint8_t vote_ = 0;  // of the keyframe that is being added
 };
 
 }  // namespace rgbd_slam

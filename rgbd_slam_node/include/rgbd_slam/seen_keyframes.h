@@ -12,17 +12,20 @@ namespace rgbd_slam {
 
 class SeenKeyframes {
  public:
-  /// `add(T_map_camera, rays)` for each keyframe that is new; where one has moved by some centimetres, has other rays
-  /// or is missing, `clear()` before, and all are new.
-  template <typename Clear, typename Add>
-  void update(const std::vector<PosedPoints>& keyframes, const Clear& clear, const Add& add) {
-    if (stand(keyframes) < seen_.size()) {
+  /// `cast(T_map_camera, rays, sign)` for each keyframe that is new (1), missing (-1), or has moved by some centimetres
+  /// or has other rays (-1 as it was, then 1). Where more would be taken out than is left, `clear()` instead, and all
+  /// are new.
+  template <typename Clear, typename Cast>
+  void update(const std::vector<PosedPoints>& keyframes, const Clear& clear, const Cast& cast) {
+    const std::vector<Seen> changed = takeChanged(keyframes);
+    if (changed.size() > seen_.size()) {
       seen_.clear();
       clear();
+    } else {
+      for (const Seen& k : changed) cast(k.T_map_camera, *k.rays, -1);
     }
-    for (const PosedPoints& k : keyframes) {
-      if (k.rays && seen_.emplace(k.keyframe, Seen{k.T_map_camera, k.rays}).second) add(k.T_map_camera, *k.rays);
-    }
+    for (const PosedPoints& k : keyframes)
+      if (k.rays && seen_.emplace(k.keyframe, Seen{k.T_map_camera, k.rays}).second) cast(k.T_map_camera, *k.rays, 1);
   }
   void clear() { seen_.clear(); }
 
@@ -31,8 +34,8 @@ class SeenKeyframes {
     air_ground_common::Pose T_map_camera;
     std::shared_ptr<const DepthRays> rays;
   };
-  /// How many of those that were seen are where they were.
-  std::size_t stand(const std::vector<PosedPoints>& keyframes) const;
+  /// Forgets those that are not where they were; returns them.
+  std::vector<Seen> takeChanged(const std::vector<PosedPoints>& keyframes);
 
   std::unordered_map<int, Seen> seen_;  // by number
 };

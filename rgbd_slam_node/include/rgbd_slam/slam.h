@@ -183,8 +183,12 @@ class Slam {
   SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth,
                      double depth_delay = 0);
 
-  /// Waits for the adjustment that runs beside the tracking. True: it has moved the map.
+  /// Waits for the adjustment that runs beside the tracking, for seconds where the map is large. True: it has moved the
+  /// map.
   bool finish();
+  /// Takes it over if an image a second later would; live, that one waits for nothing. True: it has moved the map.
+  bool adoptFinished();
+  bool adjusting() const;  ///< such an adjustment runs, or its result has not been taken over
 
   /// Camera poses of all tracked frames in the map, placed by their keyframes as those stand now.
   air_ground_common::Trajectory trajectory() const;

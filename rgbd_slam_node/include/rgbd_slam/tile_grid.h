@@ -1,13 +1,14 @@
 // Cells all over a map, of which only those are kept that somebody asked for, a tile of them at once.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <unordered_map>
 
 namespace rgbd_slam {
 
-/// Not thread-safe.
+/// Not thread-safe, its const functions neither.
 template <typename Tile>
 class TileGrid {
  public:
@@ -28,18 +29,27 @@ class TileGrid {
     return *last_;
   }
   const Tile* find(std::int64_t key) const {
-    const auto it = tiles_.find(key);
-    return it == tiles_.end() ? nullptr : it->second.get();
+    if (key != last_key_) {
+      const auto it = tiles_.find(key);
+      last_ = it == tiles_.end() ? nullptr : it->second.get();
+      last_key_ = key;
+    }
+    return last_;
   }
+  std::size_t size() const { return tiles_.size(); }
   void clear() {
     tiles_.clear();
     last_ = nullptr;
+    last_key_ = kNoKey;
   }
 
  private:
+  static constexpr std::int64_t kNoKey = -1;  // none that keyOf gives is negative
+
   std::unordered_map<std::int64_t, std::unique_ptr<Tile>> tiles_;
-  Tile* last_ = nullptr;  // most are asked for again at once
-  std::int64_t last_key_ = 0;
+  // Most are asked for again at once.
+  mutable Tile* last_ = nullptr;  // null: there is none
+  mutable std::int64_t last_key_ = kNoKey;
 };
 
 }  // namespace rgbd_slam

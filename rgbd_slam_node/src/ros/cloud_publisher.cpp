@@ -26,7 +26,7 @@ std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& 
 std::vector<ros_utils::CloudPoint> cloudForFile(const std::vector<PosedPoints>& keyframes,
                                                 const CloudSettings& settings) {
   std::vector<CloudPoint> points = fusePoints(keyframes, settings);
-  PassedSpace passed;
+  PassedSpace passed(settings.max_range);
   passed.update(keyframes);
   passed.dropGone(&points);
   return messagePoints(points);
@@ -65,9 +65,9 @@ void CloudPublisher::request(std::uint32_t map_id, const ros::Time& stamp, std::
 }
 
 void CloudPublisher::work() {
-  GroundCloud ground(settings_);  // of fused_map
-  HiddenSpace hidden;             // likewise
-  PassedSpace passed;             // likewise
+  GroundCloud ground(settings_);            // of fused_map
+  HiddenSpace hidden;                       // likewise
+  PassedSpace passed(settings_.max_range);  // likewise
   std::uint32_t fused_map = 0;
   while (true) {
     Request request;

@@ -3,6 +3,7 @@
 #include <ros/ros.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <limits>
 #include <memory>
@@ -85,7 +86,10 @@ class RgbdSlamNode : private ros_utils::Estimator {
     keyframe_publisher_ = handle_.advertise<sensor_msgs::Image>("ground/keyframe_image", 5);
     shell_.start();
   }
-  ~RgbdSlamNode() override { shell_.stop(); }
+  ~RgbdSlamNode() override {
+    ends_ = true;
+    shell_.stop();
+  }
 
  private:
   bool exists() const override { return slam_ != nullptr; }
@@ -245,9 +249,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
   /// No images come: time goes on all the same, but that of a recording has ended.
   void idle() override {
     serveKeyframes();
-    const double silence = std::chrono::duration<double>(std::chrono::steady_clock::now() - last_frame_).count();
-    if (ros::Time::isSimTime() && silence > kEnded) cloud_pacer_.hurry();
-    publishMapWhenDue(last_stamp_.toSec() + silence);
+    if (ros::Time::isSimTime() && silence() > kEnded) cloud_pacer_.hurry();
+    publishMapWhenDue(last_stamp_.toSec() + silence());
+  }
+
+  /// Since the last image [s, wall clock].
+  double silence() const {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - last_frame_).count();
   }
 
   void publishMapWhenDue(double now) {
@@ -268,9 +276,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
       keyframes_.publish(shell_.mapId(), last_stamp_, slam_->map());
   }
 
-  /// What is saved is the map with its adjustment, and receivers get the same.
+  /// What is saved is the map with its adjustment, and receivers get the same; but no image waits for one that runs.
   void finishMap() {
-    if (!slam_->finish()) return;
+    const bool nobody_waits = ends_ || settings_.estimator.player_waits || silence() > kEnded;
+    const bool moved = nobody_waits ? slam_->finish() : slam_->adoptFinished();
+    if (slam_->adjusting())
+      ROS_WARN("the whole map is being adjusted: what is saved now is without; save again in some seconds to have it");
+    if (!moved) return;
     ++map_revision_;
     cloud_pacer_.changed(true);
     keyframe_pacer_.changed(true);
@@ -301,6 +313,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros::Time last_stamp_;
   std::chrono::steady_clock::time_point last_frame_;
   bool imu_problem_told_ = false;
+  std::atomic<bool> ends_{false};                   ///< the node: what is saved then is the last
   double told_readout_time_ = 0, depth_delay_ = 0;  ///< [s]
   std::uint32_t map_id_ = 0, map_revision_ = 0;     ///< of what is published; id 0: none is
 
