@@ -266,8 +266,8 @@ int main(int argc, char** argv) {
       mean_errors[k].push_back(mean_error);
       yaws[k].push_back(error.yaw * 180 / M_PI);
       spreads[k].push_back(e.particle_spread);
-      const bool ok = !options.other_world && error.position < 0.25 && error.yaw < 5 * M_PI / 180 &&
-                      (!own_unit || std::abs(scale_error) < 0.1);
+      const bool ok = !options.other_world && error.position < 0.25 && std::abs(error.z) < 0.25 &&
+                      error.yaw < 5 * M_PI / 180 && (!own_unit || std::abs(scale_error) < 0.1);
       good[k] += ok;
       mean_good[k] += mean_error < 0.25;
       const bool is_converged = e.status == hm::Status::kConverged;
