@@ -75,7 +75,7 @@ class Pacing(unittest.TestCase):
         class Heard(as_module.load('replay_report').Recorder):
             def __init__(self):
                 self.lock, self.nodes, self.begin, self.end = threading.Lock(), ['dense_fusion'], 100.0, 150.0
-                self.progress, self.diagnostics, self.said, self.fused, self.played = {}, {}, {}, {}, 120.0
+                self.progress, self.diagnostics, self.said, self.fused, self.played, self.ended = {}, {}, {}, {}, 120.0, None
 
         recorder = Heard()
         with mock.patch.object(replays, 'rospy') as ros:

@@ -136,6 +136,12 @@ class ReplayReport(unittest.TestCase):
         self.assertGreater(values['vo_coverage_percent'], 90)
         self.assertLess(values['alignment_accepted_after_s'], 1.5)  # the first pose's
 
+    def test_accepted_is_when_the_pose_came(self):
+        """The stamp is that of the data behind it."""
+        values = self.run_replay({'estimate_delay': 2.0})[1]
+        self.assertGreater(values['alignment_accepted_after_s'], 2.0 - 0.1)  # the clock of a replay has steps
+        self.assertLess(values['alignment_accepted_after_s'], 2.0 + 1.5)
+
     def test_known_errors_are_found(self):
         out, values, output = self.run_replay({'refined_error': 0.05, 'refined_error_yaw': 0.02, 'vo_scale': 1.0})
         self.assertTrue(values['alignment_accepted'])

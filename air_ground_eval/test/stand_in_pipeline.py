@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Stands in for the five nodes: turns the ground truth topics of a bag into estimates with known errors.
 
-Parameters: ~refined_error [m, along x of ground_map], ~refined_error_yaw [rad], ~vo_scale, ~status (of the refinement), ~silent (a reason: the MAV
+Parameters: ~refined_error [m, along x of ground_map], ~refined_error_yaw [rad], ~vo_scale, ~status (of the refinement), ~estimate_delay [s] (from the stamp of an alignment to when it comes), ~silent (a reason: the MAV
 gives no pose and says so), ~ground (false: no ground robot), ~vo_unit (of a MAV without scale: it publishes no odometry, and says so in what it saves), ~static_file (gets the frames that a late listener finds on /tf_static).
 The MAV's map starts at MAV_MAP_IN_WORLD, the ground robot's at GROUND_MAP_IN_WORLD, both as a VO or SLAM would choose them.
 """
@@ -43,6 +43,7 @@ class StandIn:
         self.static, self.static_children = None, set()
         self.count = 0
         self.last_estimate = 0.0
+        self.delay, self.waiting = rospy.get_param('~estimate_delay', 0.0), []  # stamps and poses of the MAV
         rospy.Service('mav_vo/save_trajectory', SaveTrajectory, lambda request: self.save(request, 'mav'))
         rospy.Service('rgbd_slam/save_trajectory', SaveTrajectory, lambda request: self.save(request, 'ground'))
         rospy.Service('icp_refine/save_map', SaveMap, self.save_map)
@@ -80,8 +81,10 @@ class StandIn:
             self.poses[name][stamp] = pose
             if name == 'mav' and not self.unit and stamp - self.last_estimate >= 1.0:
                 self.last_estimate = stamp
+                self.waiting.append((message.header.stamp, pose))
+            while self.waiting and stamp - self.waiting[0][0].to_sec() >= self.delay:
                 self.count += 1
-                self.estimate(message.header.stamp, pose)
+                self.estimate(*self.waiting.pop(0))
 
     def estimate(self, stamp, T_mav_map_base):
         """Publishes the true alignment, displaced at the MAV's camera by the known errors; the refined one has a scale."""

@@ -48,6 +48,8 @@ class Estimate:
     map_id: int = 0
     scale: float = 1.0
     T_mav_map_camera: Optional[np.ndarray] = None  # of the MAV's camera at the stamp, as it was known then
+    ground_map_id: int = 0  # map of the ground robot; 0: not known
+    arrived: float = float('nan')  # when it was published, on the bag's clock [s]
 
 
 def of_metric_map(estimate, T_map_visual, scale):
@@ -57,6 +59,15 @@ def of_metric_map(estimate, T_map_visual, scale):
     pose[:3, :3] = estimate.pose[:3, :3] @ T_map_visual[:3, :3].T
     pose[:3, 3] = estimate.pose[:3, 3] - s * pose[:3, :3] @ T_map_visual[:3, 3]
     return dataclasses.replace(estimate, pose=pose, scale=s)
+
+
+def moved_by_scale(poses, before, after):
+    """Poses of a metric map that was made with the similarity `before` of a map without scale, in the one that `after` makes: each (T_map_visual, scale), as for of_metric_map."""
+    turn = after[0][:3, :3] @ before[0][:3, :3].T
+    moved = poses.copy()
+    moved[..., :3, :3] = turn @ poses[..., :3, :3]
+    moved[..., :3, 3] = after[1] / before[1] * (poses[..., :3, 3] - before[0][:3, 3]) @ turn.T + after[0][:3, 3]
+    return moved
 
 
 def read_tum(path):
@@ -190,7 +201,7 @@ def alignment_errors(estimates, T_ground_map_world, mav_truth):
             continue
         error = alignment_error(estimate, T_ground_map_world, mav_truth)
         if error is not None:
-            rows.append({'stamp_s': estimate.stamp, 'height_maps': estimate.iterations, 'overlap': estimate.overlap, 'status': estimate.status,
+            rows.append({'estimate': estimate, 'stamp_s': estimate.stamp, 'height_maps': estimate.iterations, 'overlap': estimate.overlap, 'status': estimate.status,
                          'position_m': error[0], 'horizontal_m': error[1], 'rotation_deg': float(np.degrees(error[2])),
                          'yaw_deg': float(np.degrees(error[3]))})
     return rows

@@ -41,12 +41,19 @@ class Robot:
         self.latencies = []  # from each image to its pose, on the bag's clock [s]
         self.last_status = None
         self.processing, self.lost, self.frames = 0.0, 0, 0
+        self.map_begins = []  # (stamp of the first status that names a map [s], its id)
 
     def heard(self, status):
         self.last_status = status
         self.frames += 1
         self.processing += status.processing_time
         self.lost += status.state == VoStatus.STATE_LOST
+        if not self.map_begins or self.map_begins[-1][1] != status.map_id:
+            self.map_begins.append((status.header.stamp.to_sec(), status.map_id))
+
+    def map_at(self, stamp):
+        """Id of its map at a stamp [s]; 0: not known."""
+        return next((map_id for begin, map_id in reversed(self.map_begins) if begin <= stamp + 1e-6), 0)
 
     def state(self):
         return {'state': STATES.get(self.last_status.state, str(self.last_status.state)), 'reason': self.last_status.reason,
@@ -72,6 +79,7 @@ class Recorder:
         self.cores = []  # (time of the bag [s], {node: cores that it kept busy}), about every second
         self.refused = []  # lines on topics of the bag that no node takes
         self.played = 0.0  # when the newest message of the bag's cameras or IMUs that was heard was recorded [s]
+        self.ended = None  # the bag's time, and the wall's, when the clock stood still [s]
         self.last_output = time.monotonic()
         self.subscribers = [rospy.Subscriber('/diagnostics', DiagnosticArray, self.on_diagnostics, queue_size=100),
                             rospy.Subscriber('/tf', TFMessage, self.on_tf, queue_size=1000)]
@@ -97,8 +105,13 @@ class Recorder:
             self.played = max(self.played, next(times, self.played))
 
     def now(self):
-        """The bag's time: the clock's, or what was played where the player gives none [s]."""
-        return max(rospy.get_time(), self.played)
+        """The bag's time: the clock's, or what was played where the player gives none [s]. After the bag's end it goes on as the wall's."""
+        clock = max(rospy.get_time(), self.played)
+        return clock if self.ended is None else max(clock, self.ended[0] + time.monotonic() - self.ended[1])
+
+    def clock_ends(self):
+        """The bag has ended: what the nodes still work on comes later than its clock says."""
+        self.ended = (self.now(), time.monotonic())
 
     def advance(self, node, time):
         if self.begin <= time <= self.end + 1 and time > self.progress.get(node, 0.0):

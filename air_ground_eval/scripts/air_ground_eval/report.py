@@ -33,7 +33,10 @@ class Recorded:
     cores: List[Tuple[float, Dict[str, float]]] = field(default_factory=list)  # (time of the bag [s], node -> cores that it kept busy)
     pose_latencies: Dict[str, List[float]] = field(default_factory=dict)  # robot -> from each image to its pose [s]
     latencies: List[Tuple[float, float, float]] = field(default_factory=list)  # (stamp of a dense cloud, from its last image to it, to the refined pose) [s]
+    late_clouds: int = 0                 # those that the nodes were asked for after the bag's end, without delays
+    ground_map_id: int = 0               # of the ground robot's map that was saved; 0: not known
     delays: Dict[str, float] = field(default_factory=dict)  # robot -> the bag's clock less that of its images' stamps [s]
+    first_poses: Dict[str, float] = field(default_factory=dict)  # robot -> stamp of its first metric pose, of whichever map [s]
     switched_off: List[str] = field(default_factory=list)  # robots that were not to give poses
     states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
     tf_publishers: Dict[str, set] = field(default_factory=dict)  # 'parent -> child': nodes that publish the transform
@@ -104,6 +107,9 @@ class Report:
         else:
             v[f'{prefix}_estimated_path_length_m'] = length
         v[f'{prefix}_coverage_percent'] = 100 * evaluation.coverage(track.stamps, self.r.begin, self.r.end, max_gap=1.0)
+        if len(track):  # less where maps ended before the one that was saved
+            first, end = min(self.r.first_poses.get(robot, track.stamps[0]), track.stamps[0]), self.r.end - self.r.delays.get(robot, 0.0)
+            v[f'{prefix}_coverage_since_first_pose_percent'] = 100 * evaluation.coverage(track.stamps, first, end, max_gap=1.0)
         state = self.r.states.get(robot, {})
         if state:
             v[f'{prefix}_final_state'] = state['state']
@@ -137,25 +143,44 @@ class Report:
         v['alignment_coarse_estimates'] = len(coarse)
         v['alignment_refined_estimates'] = len(refined)
         v['alignment_refined_converged'] = len(converged)
+        v['alignment_refined_converged_clouds'] = len({e.stamp for e in converged})  # one is refined again where the ground map changes
         if coarse:
             v['coarse_status'] = STATUS_NAMES.get(coarse[-1].status, str(coarse[-1].status))
             v['coarse_reason'] = coarse[-1].reason
         v['alignment_accepted'] = bool(converged)
-        last = converged[-1] if converged else (refined[-1] if refined else None)
         v['refined_status'] = STATUS_NAMES.get(refined[-1].status, str(refined[-1].status)) if refined else 'NONE'
         v['refined_reason'] = refined[-1].reason if refined else 'no refinement was published'
         if not converged:
             v['alignment_verdict'] = 'no alignment accepted: ' + self.refusal()
             self.figure['no_alignment'] = 'no alignment accepted'
         if converged:
-            v['alignment_accepted_after_s'] = converged[0].stamp - self.begins['mav']
-            v['T_ground_map_mav_map_translation_m'] = list(last.pose[:3, 3])
-            v['T_ground_map_mav_map_quaternion_xyzw'] = list(geometry.quaternion_from_matrix(last.pose[:3, :3]))
-            v['refined_sigma_m_m_m_rad_rad_rad'] = list(last.deviations)
-            v['refined_overlap'] = last.overlap
-            v['refined_rms_residual_m'] = last.cost
-        self.final = converged[-1] if converged else None
+            v['alignment_accepted_after_s'] = converged[0].arrived - r.begin
+        of_saved_map = [e for e in converged if self._in_saved_map(e)]
+        self.final = of_saved_map[-1] if of_saved_map else None
+        ended = len(converged) - len(of_saved_map)
+        if ended:
+            v['refined_of_ended_ground_maps'] = ended
+            r.notes.append(f'{ended} of {len(converged)} accepted poses are in a ground map that ended, and are not compared')
+        if self.final is not None:
+            v['T_ground_map_mav_map_translation_m'] = list(self.final.pose[:3, 3])
+            v['T_ground_map_mav_map_quaternion_xyzw'] = list(geometry.quaternion_from_matrix(self.final.pose[:3, :3]))
+            self._state_quality(self.final)
+        elif converged:
+            v['alignment_verdict'] = 'accepted in a ground map that ended alone, not in the last one'
+        self._alignment_errors([e for e in coarse if self._in_saved_map(e)], of_saved_map)
 
+    def _in_saved_map(self, estimate):
+        """Not of a ground map that ended: its frame is another than that of the trajectory that was saved."""
+        return 0 in (estimate.ground_map_id, self.r.ground_map_id) or estimate.ground_map_id == self.r.ground_map_id
+
+    def _state_quality(self, estimate):
+        self.values['refined_sigma_m_m_m_rad_rad_rad'] = list(estimate.deviations)
+        self.values['refined_overlap'] = estimate.overlap
+        self.values['refined_rms_residual_m'] = estimate.cost
+
+    def _alignment_errors(self, coarse, converged):
+        """Errors of coarse estimates and of accepted poses, all in the ground map that was saved."""
+        r, v = self.r, self.values
         if r.ground_truth is None or r.mav_truth is None or len(r.ground) < 3:
             return
         T_world_ground_map = evaluation.tie_to_world(r.ground_truth, r.ground)
@@ -172,18 +197,25 @@ class Report:
             v['coarse_error_yaw_deg'] = [row['yaw_deg'] for row in rows]
             v['coarse_error_status'] = [STATUS_NAMES.get(row['status'], str(row['status'])) for row in rows]
         self.figure['coarse'] = rows
-        rows = evaluation.alignment_errors(refined, self.T_ground_map_world, r.mav_truth)
+        rows = evaluation.alignment_errors(converged, self.T_ground_map_world, r.mav_truth)
+        missing = len(converged) - len(rows)
+        if missing:
+            v['refined_without_truth'] = missing
+            r.notes.append(f'{missing} of {len(converged)} accepted poses have no truth at their time, and are not compared')
         if rows:
+            compared = rows[-1]['estimate']
+            self._state_quality(compared)
             v['refined_error_m'] = rows[-1]['position_m']
             v['refined_error_deg'] = rows[-1]['rotation_deg']
             if 'vo_scale_error_percent' in v and 'slam_scale_error_percent' in v:
                 v['refined_scale_error_percent'] = evaluation.alignment_scale_error(
-                    self.final.scale, v['vo_scale_error_percent'], v['slam_scale_error_percent'])
+                    compared.scale, v['vo_scale_error_percent'], v['slam_scale_error_percent'])
             v['refined_error_median_m'] = float(np.median([row['position_m'] for row in rows]))
             v['refined_error_median_deg'] = float(np.median([row['rotation_deg'] for row in rows]))
+            v['refined_errors_stamp_s'] = [row['stamp_s'] - self.begins['mav'] for row in rows]
             v['refined_errors_m'] = [row['position_m'] for row in rows]
             v['refined_errors_deg'] = [row['rotation_deg'] for row in rows]
-            alternative = evaluation.alignment_errors(refined, geometry.inverse(first), r.mav_truth)
+            alternative = evaluation.alignment_errors(converged, geometry.inverse(first), r.mav_truth)
             v['refined_error_through_first_pose_m'] = alternative[-1]['position_m']
             v['refined_error_through_first_pose_deg'] = alternative[-1]['rotation_deg']
         self.figure['refined'] = rows
@@ -200,7 +232,10 @@ class Report:
             if r.pose_latencies.get(robot):
                 v[f'{name}_latency_median_s'] = float(np.median(r.pose_latencies[robot]))
                 v[f'{name}_latency_95_percent_s'] = float(np.quantile(r.pose_latencies[robot], 0.95))
+        if r.late_clouds:
+            v['latency_clouds_left_out'] = r.late_clouds
         if r.latencies:
+            v['latency_clouds'] = len(r.latencies)
             self.figure['latencies'] = np.array(r.latencies) - [self.begins['mav'], 0, 0]
             for name, delays in zip(('cloud', 'refined'), self.figure['latencies'][:, 1:].T):
                 v[f'{name}_latency_median_s'] = float(np.median(delays))

@@ -1,5 +1,7 @@
 """The printed table of a replay."""
 
+COVERED = 90  # [% of the recording]: the errors of a trajectory that covers less say little of it
+
 
 def table(v, notes):
     """The figures of report.yaml as text, beside the paper's."""
@@ -22,7 +24,7 @@ def table(v, notes):
             add(f'{label} path', f'{v[f"{prefix}_estimated_path_length_units"]:.2f} of its map\'s unit, scale unknown, {v[f"{prefix}_poses"]} poses')
         else:
             add(f'{label} path', f'{v[f"{prefix}_estimated_path_length_m"]:.2f} m, {v[f"{prefix}_poses"]} poses')
-        if v.get(f'{prefix}_coverage_percent', 100) < 90:
+        if v.get(f'{prefix}_coverage_percent', 100) < COVERED:
             lost = v.get(f'{prefix}_lost_frames', 0)
             add(f'{label} covers', f'{v[f"{prefix}_coverage_percent"]:.0f} % of the recording, and its errors are of that'
                 f'{f"; {lost} images lost" if lost else ""}')
@@ -38,7 +40,7 @@ def table(v, notes):
     counts = v.get('coarse_error_height_maps', [])
     shown = [c for c in (1, 4) if c in counts] or counts[:1]
     for count in dict.fromkeys(shown + counts[-1:]):
-        i = counts.index(count)
+        i = len(counts) - 1 if count == counts[-1] else counts.index(count)  # maps are compared again where the ground map changes
         add(f'coarse error after height map {count}', f'{v["coarse_error_m"][i]:.3f} m, {v["coarse_error_yaw_deg"][i]:.1f} deg '
             f'({v["coarse_error_status"][i]})', {1: '< 0.5 m in 65 %', 4: '< 0.25 m in 89 %'}.get(count, ''))
     if 'refined_error_m' in v:
@@ -48,12 +50,13 @@ def table(v, notes):
         add('  tied through the first pose', f'{v["refined_error_through_first_pose_m"]:.3f} m, '
             f'{v["refined_error_through_first_pose_deg"]:.2f} deg')
     add('status', f'coarse {v.get("coarse_status", "NONE")}, refined {v["refined_status"]}')
-    if v['alignment_accepted']:
+    if 'refined_sigma_m_m_m_rad_rad_rad' in v:
         add('1 sigma of the refined pose', ', '.join(f'{x:.3f}' for x in v['refined_sigma_m_m_m_rad_rad_rad']) + ' (m, rad)')
     else:
         add('alignment', v['alignment_verdict'])
     if 'refined_latency_median_s' in v:
-        add('last image of a cloud to refined pose', f'median {v["refined_latency_median_s"]:.2f} s, 95 % {v["refined_latency_95_percent_s"]:.2f} s')
+        late = f', {v["latency_clouds_left_out"]} asked for at the end left out' if 'latency_clouds_left_out' in v else ''
+        add('last image of a cloud to refined pose', f'median {v["refined_latency_median_s"]:.2f} s, 95 % {v["refined_latency_95_percent_s"]:.2f} s ({v["latency_clouds"]} clouds{late})')
         add('  of that until the cloud is there', f'median {v["cloud_latency_median_s"]:.2f} s, 95 % {v["cloud_latency_95_percent_s"]:.2f} s')
     if 'cpu_cores_mean' in v:
         add('processor cores in use', f'{sum(v["cpu_cores_mean"].values()):.2f} on average')
