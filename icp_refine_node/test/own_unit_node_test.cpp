@@ -25,6 +25,27 @@ class OwnUnitTest : public NodeTest {
     }));
   }
 
+  static double heightInMap(const synthetic::Scene& scene, double above_floor) {
+    return (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, above_floor)).z();
+  }
+
+  /// Shows on tf where the ground robot's camera is; returns the calibration that names its frame.
+  sensor_msgs::CameraInfo placeCamera(const std::string& frame, double z) {
+    geometry_msgs::TransformStamped T;
+    T.header.stamp = ros::Time(now_);
+    T.header.frame_id = "ground_map";
+    T.child_frame_id = frame;
+    T.transform.translation.z = z;
+    T.transform.rotation.w = 1;
+    tf2_msgs::TFMessage all;
+    all.transforms.push_back(T);
+    tf_static_.publish(all);
+    sensor_msgs::CameraInfo info;
+    info.header.stamp = T.header.stamp;
+    info.header.frame_id = frame;
+    return info;
+  }
+
   AlignmentEstimate similarityMessage(const Similarity& T, const std::string& frame) const {
     AlignmentEstimate msg;
     msg.header.stamp = ros::Time(now_);
@@ -220,7 +241,7 @@ TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromKeyframes) {
   keyframes.poses.resize(3);
   for (auto& pose : keyframes.poses) pose.orientation.w = 1;
   keyframes.poses[0].position.z = std::nan("");
-  keyframes.poses[1].position.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, 0.5)).z();
+  keyframes.poses[1].position.z = heightInMap(scene, 0.5);
   keyframes.poses[2].position.z = keyframes.poses[1].position.z - 0.1;
   keyframes_.publish(keyframes);
   ASSERT_TRUE(awaitCount("keyframes of another map", others + 1));
@@ -244,7 +265,7 @@ TEST_F(OwnUnitTest, TheGroundCamerasHeightFallsWithItsKeyframes) {
   const auto send = [&](double above_floor) {
     tick(1);
     keyframes.header.stamp = ros::Time(now_);
-    keyframes.poses[0].position.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, above_floor)).z();
+    keyframes.poses[0].position.z = heightInMap(scene, above_floor);
     keyframes_.publish(keyframes);
   };
   send(1.5);
@@ -260,19 +281,8 @@ TEST_F(OwnUnitTest, TheGroundCamerasHeightIsThatOfTheCorrectedMap) {
   const auto scene = sceneWithTable();
   const auto sendHeight = [&](double above_floor) {
     tick(1);
-    geometry_msgs::TransformStamped T;
-    T.header.stamp = ros::Time(now_);
-    T.header.frame_id = "ground_map";
-    T.child_frame_id = "ground_camera_of_a_corrected_map";
-    T.transform.translation.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, above_floor)).z();
-    T.transform.rotation.w = 1;
-    tf2_msgs::TFMessage all;
-    all.transforms.push_back(T);
-    tf_static_.publish(all);
+    const auto info = placeCamera("ground_camera_of_a_corrected_map", heightInMap(scene, above_floor));
     pause(10);
-    sensor_msgs::CameraInfo info;
-    info.header.stamp = T.header.stamp;
-    info.header.frame_id = T.child_frame_id;
     info_.publish(info);
   };
   sendGroundStatus(1, 0);
@@ -294,16 +304,7 @@ TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromTf) {
   const auto scene = sceneWithTable();
   ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
 
-  geometry_msgs::TransformStamped mounting;
-  mounting.header.frame_id = "ground_map";
-  mounting.child_frame_id = "ground_camera_optical_frame";
-  mounting.transform.translation.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, 0.5)).z();
-  mounting.transform.rotation.w = 1;
-  tf2_msgs::TFMessage all;
-  all.transforms.push_back(mounting);
-  tf_static_.publish(all);
-  sensor_msgs::CameraInfo info;
-  info.header.frame_id = "ground_camera_optical_frame";
+  const auto info = placeCamera("ground_camera_optical_frame", heightInMap(scene, 0.5));
   ASSERT_TRUE(waitFor([&] {
     info_.publish(info);  // tf may need a moment
     sendCoarse(scene.T_ground_map_mav_map);

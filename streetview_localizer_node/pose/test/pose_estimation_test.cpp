@@ -14,6 +14,14 @@ using namespace simulation;
 
 double angleError(const Pose& a, const Pose& b) { return air_ground_common::rotationAngle(a.linear(), b.linear()); }
 
+/// Gravity as an accelerometer tells it, off as the prior says.
+PosePrior measuredGravity(const Scene& scene, Random& random) {
+  PosePrior prior;
+  const Eigen::Vector3d up = scene.T_world_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
+  prior.up_camera = air_ground_common::expSO3(random.gaussVector(prior.up_stddev)) * up;
+  return prior;
+}
+
 PointSource exact(const Eigen::Vector3d& position) {
   PointSource source;
   source.position = position;
@@ -125,11 +133,7 @@ TEST_P(Consistency, NormalisedErrorIsChiSquare) {
       settings.database_errors = database;
       Scene s = facadeScene(random, settings);
       s.source.model_relief_stddev = 0;
-      PosePrior prior;
-      if (gravity) {
-        const Eigen::Vector3d up = s.T_world_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
-        prior.up_camera = air_ground_common::expSO3(random.gaussVector(prior.up_stddev)) * up;
-      }
+      const PosePrior prior = gravity ? measuredGravity(s, random) : PosePrior();
       PoseSettings pose;
       const PoseResult r =
           estimatePose(s.matches, s.camera, database ? s.source : exact(s.source.position), prior, pose);
@@ -217,9 +221,7 @@ TEST(PoseEstimation, ReliefThatTheModelLacksIsKnownToBendThePose) {
     settings.hidden_relief = 0.1;
     settings.database_errors = true;
     const Scene s = facadeScene(random, settings);
-    PosePrior prior;
-    prior.up_camera = air_ground_common::expSO3(random.gaussVector(prior.up_stddev)) *
-                      s.T_world_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
+    const PosePrior prior = measuredGravity(s, random);
     PointSource flat = s.source;
     flat.model_relief_stddev = 0;
     const PoseResult r = estimatePose(s.matches, s.camera, s.source, prior, {}),
