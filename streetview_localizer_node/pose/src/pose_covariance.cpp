@@ -103,16 +103,19 @@ Matrix6d totalCovariance(const Matches& m, const std::vector<int>& inliers, cons
         rows[k].by_point * castJacobian(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
     const Eigen::Matrix<double, 6, 2> pose = rows[k].by_pose.transpose() / variance;
     by_source.topRows<6>() += pose * moved.leftCols<6>();
+    const Eigen::RowVector2d offset = moved.col(6).transpose() / variance;
+    const auto wall = column_of.find(m.wall[i]);
+    const bool wall_moves = wall != column_of.end();
+    if (wall_moves) {
+      joint.block<6, 1>(0, wall->second) += pose * moved.col(6);
+      joint.block<1, 6>(wall->second, 0) += offset * rows[k].by_pose;
+      joint(wall->second, wall->second) += offset * moved.col(6);
+      by_source.row(wall->second) += offset * moved.leftCols<6>();
+    }
+    if (m.wall[i] < 0 || !(source.model_relief_stddev > 0)) continue;
     Eigen::VectorXd& by_relief = by_patch.try_emplace(patchOf(m, i), Eigen::VectorXd::Zero(size)).first->second;
     by_relief.head<6>() += pose * moved.col(6);
-    const auto wall = column_of.find(m.wall[i]);
-    if (wall == column_of.end()) continue;
-    const Eigen::RowVector2d offset = moved.col(6).transpose() / variance;
-    by_relief[wall->second] += offset.dot(moved.col(6));
-    joint.block<6, 1>(0, wall->second) += pose * moved.col(6);
-    joint.block<1, 6>(wall->second, 0) += offset * rows[k].by_pose;
-    joint(wall->second, wall->second) += offset * moved.col(6);
-    by_source.row(wall->second) += offset * moved.leftCols<6>();
+    if (wall_moves) by_relief[wall->second] += offset.dot(moved.col(6));
   }
   const Eigen::LDLT<Eigen::MatrixXd> factor(joint);
   const Matrix6d gain = factor.solve(by_source).topRows<6>();

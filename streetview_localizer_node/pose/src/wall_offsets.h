@@ -19,7 +19,7 @@ Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3
                               const Eigen::Vector3d& centre);
 
 /// The wall of a match and the 2 m of it, along and up, that it lies on: relief that the model lacks (a balcony, a row
-/// of reveals, a recessed ground floor) is alike there.
+/// of reveals, a recessed ground floor) is alike there. Of a match with a wall.
 using Patch = std::array<int, 3>;
 Patch patchOf(const Matches& m, std::size_t i);
 
