@@ -30,9 +30,7 @@ double ReferenceKeyframe::changeOfView(const Map& map, const Keyframe& keyframe,
                                        {settings_.keyframe_translation, settings_.keyframe_rotation});
 }
 
-bool ReferenceKeyframe::outgrown(const Map& map, const Keyframe& keyframe, const Pose& T_map_camera,
-                                 int landmarks) const {
-  const double change = changeOfView(map, keyframe, T_map_camera);
+bool ReferenceKeyframe::outgrown(const Keyframe& keyframe, double change, int landmarks) const {
   if (change > 1) return true;
   // From where the keyframe stood, another sees nothing new, unless landmarks were lost since.
   const int seen = landmarksOf(keyframe);
@@ -61,17 +59,19 @@ int ReferenceKeyframe::patience() const {
 }
 
 bool ReferenceKeyframe::due(const Map& map, const Pose& T_map_camera, int landmarks) const {
+  if (frames_ < settings_.keyframe_min_gap) return false;
   const Keyframe& keyframe = map.keyframe(id_);
-  const bool left = changeOfView(map, keyframe, T_map_camera) > 1;
-  return frames_ >= (left ? settings_.keyframe_min_gap : patience()) &&
-         outgrown(map, keyframe, T_map_camera, landmarks);
+  const double change = changeOfView(map, keyframe, T_map_camera);
+  return change > 1 || (frames_ >= patience() && outgrown(keyframe, change, landmarks));
 }
 
 KeyframeId ReferenceKeyframe::ofView(const Map& map, const visual_frontend::LandmarkTracks& tracks,
                                      const Pose& T_map_camera, int landmarks) const {
   // Shared landmarks say that the two are right to each other: else there may be a loop to close.
-  for (const auto& c : map.observers(tracks.landmarks(), 2 * settings_.min_inliers))
-    if (!outgrown(map, map.keyframe(c.keyframe), T_map_camera, landmarks)) return c.keyframe;
+  for (const auto& c : map.observers(tracks.landmarks(), 2 * settings_.min_inliers)) {
+    const Keyframe& keyframe = map.keyframe(c.keyframe);
+    if (!outgrown(keyframe, changeOfView(map, keyframe, T_map_camera), landmarks)) return c.keyframe;
+  }
   return visual_frontend::kNoKeyframe;
 }
 

@@ -32,9 +32,9 @@ class ReferenceKeyframe {
   int patience() const;  ///< frames for which it lasts though landmarks are lost
   double changeOfView(const visual_frontend::Map& map, const visual_frontend::Keyframe& keyframe,
                       const Pose& T_map_camera) const;
-  /// Whether the frame sees other things than the keyframe, by more than the settings allow.
-  bool outgrown(const visual_frontend::Map& map, const visual_frontend::Keyframe& keyframe, const Pose& T_map_camera,
-                int landmarks) const;
+  /// Whether a frame whose view differs from the keyframe's by `change` sees other things, by more than the settings
+  /// allow.
+  bool outgrown(const visual_frontend::Keyframe& keyframe, double change, int landmarks) const;
 
   SlamSettings settings_;
   KeyframeId id_ = visual_frontend::kNoKeyframe;

@@ -34,6 +34,11 @@ IMAGE_TYPES = ('sensor_msgs/Image', 'sensor_msgs/CompressedImage')
 TRANSPORTS = ('compressedDepth', 'compressed')  # the better first: the second may be a JPEG, of depth too
 
 
+def with_slash(topic):
+    """As nodes without namespace resolve what was recorded, or given, without one."""
+    return '/' + topic.lstrip('/')
+
+
 def raw_name(topic):
     """The image topic that a compressed one belongs to."""
     parent, _, last = topic.rpartition('/')
@@ -166,7 +171,7 @@ def mapped(rules):
 
 def _standard(name):
     """The standard topic of this name, with or without slash, or of this launch argument; None for others."""
-    slashed = '/' + name.lstrip('/')
+    slashed = with_slash(name)
     return slashed if slashed in ARGUMENTS else next((standard for standard, argument in ARGUMENTS.items() if argument == name), None)
 
 

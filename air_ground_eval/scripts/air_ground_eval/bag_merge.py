@@ -7,7 +7,7 @@ import genpy
 import numpy as np
 import rosbag
 
-from .bag_guess import IMAGE_TYPES, raw_name
+from .bag_guess import IMAGE_TYPES, raw_name, with_slash
 from .bag_reader import BagError, BagFacts, open_bag
 
 SHARED = ('/tf', '/tf_static', '/clock', '/rosout', '/rosout_agg', '/diagnostics')  # topics of many publishers
@@ -67,7 +67,7 @@ class Part:
         return self.last + self.shift.to_sec()
 
     def topic(self, name):
-        return self.topics.get(name, _with_slash(name))
+        return self.topics.get(name, with_slash(name))
 
     def frame(self, name):
         return self.frames.get(name.lstrip('/'), name)
@@ -104,7 +104,7 @@ class Part:
             for topic, message, header in () if self.whole else self._held(bag, first):
                 yield (first + self.shift).to_nsec(), order, self.topic(topic), self.changed(message, topic), header
             for topic, message, time, header in bag.read_messages(return_connection_header=True, **window):
-                if _with_slash(topic) not in DROPPED and (self.whole or topic not in STATIC):
+                if with_slash(topic) not in DROPPED and (self.whole or topic not in STATIC):
                     yield (time + self.shift).to_nsec(), order, self.topic(topic), self.changed(message, topic), header
 
     def _held(self, bag, first):
@@ -192,14 +192,9 @@ class Restamped:
                 yield time.to_nsec(), order, topic, message, header
 
 
-def _with_slash(topic):
-    """As nodes without namespace resolve what was recorded without one."""
-    return '/' + topic.lstrip('/')
-
-
 def _name(topic):
     """What a topic is of, whatever its transport."""
-    return _with_slash(topic[:-len('/theora')] if topic.endswith('/theora') else raw_name(topic))
+    return with_slash(topic[:-len('/theora')] if topic.endswith('/theora') else raw_name(topic))
 
 
 def _folder(topic):
@@ -219,7 +214,7 @@ def plan(mav, ground, begin_together):
     parts = [Part('mav', mav), Part('ground', ground)]
     frames = frames_of(parts[0].facts) & (frames_of(parts[1].facts) - COMMON_FRAMES)
     for part, topics in zip(parts, renamed(parts)):
-        part.topics = {topic: f'/{part.robot}{_with_slash(topic)}' for topic in topics}
+        part.topics = {topic: f'/{part.robot}{with_slash(topic)}' for topic in topics}
         part.frames = {frame: f'{part.robot}_{frame}' for frame in frames}
     if begin_together:
         parts[1].shift = genpy.Duration.from_sec(parts[0].first - parts[1].first)

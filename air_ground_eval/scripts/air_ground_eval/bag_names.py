@@ -34,7 +34,7 @@ def _namespace(facts, space, sensors):
     if shared:
         return [Finding(WARNING, f'{text}, as another namespace does of {quoted(shared)}, and a frame has one place: of the bags that each robot recorded, rosrun air_ground merge_bags FLIGHT.bag '
                         'GROUND.bag BOTH.bag names the frames apart; else have each publish its own (tf_prefix)')]
-    kept = own | {frame for frame, topics in sensors.items() if any(f'/{t.lstrip("/")}'.startswith(f'{space}/') for t in topics)}
+    kept = own | {frame for frame, topics in sensors.items() if any(bag_guess.with_slash(t).startswith(f'{space}/') for t in topics)}
     names = {frame: frame if frame in kept or frame not in others else f'{space[1:]}/{frame}' for frame in _frames(facts.elsewhere[space])}
     edges = {}
     for frame in sorted(own):

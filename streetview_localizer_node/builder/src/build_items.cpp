@@ -4,9 +4,6 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <boost/geometry.hpp>
-#include <boost/geometry/geometries/point.hpp>
-#include <boost/geometry/index/rtree.hpp>
 #include <cctype>
 #include <cmath>
 #include <filesystem>
@@ -18,6 +15,7 @@
 
 #include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
+#include "streetview_localizer/plane_index.h"
 
 namespace streetview_localizer {
 
@@ -57,15 +55,12 @@ class Stems {
   std::map<std::string, std::multimap<std::string, std::string>> folders_;
 };
 
-namespace bgi = boost::geometry::index;
-using PlanPoint = boost::geometry::model::point<double, 2, boost::geometry::cs::cartesian>;
-using Corners = bgi::rtree<PlanPoint, bgi::quadratic<16>>;
-
-/// Of the model, in plan: a city has too many to look at all of them for each image.
-Corners cornersOf(const CityModel& model) {
-  std::vector<PlanPoint> corners;
-  for (const Eigen::Vector3f& v : model.mesh.vertices) corners.emplace_back(v.x(), v.y());
-  return Corners(corners);
+/// The model's vertices: a city has too many to look at all of them for each image.
+PlaneIndex cornersOf(const CityModel& model) {
+  std::vector<std::pair<Eigen::Vector2d, int>> corners;
+  for (std::size_t i = 0; i < model.mesh.vertices.size(); ++i)
+    corners.emplace_back(model.mesh.vertices[i].head<2>().cast<double>(), static_cast<int>(i));
+  return PlaneIndex(corners);
 }
 
 class ImageList {
@@ -262,9 +257,8 @@ class ImageList {
   /// Far from all buildings: empty, or a reason to refuse the image.
   std::string farAway(const Eigen::Vector3d& place) const {
     double nearest = std::numeric_limits<double>::infinity();
-    const auto closest = bgi::nearest(PlanPoint(place.x(), place.y()), 1);
-    for (auto it = corners_.qbegin(closest); it != corners_.qend(); ++it)
-      nearest = (Eigen::Vector2d(it->get<0>(), it->get<1>()) - place.head<2>()).norm();
+    for (const int i : corners_.nearest(place.head<2>(), 1))
+      nearest = (model_.mesh.vertices[static_cast<std::size_t>(i)].cast<double>() - place).head<2>().norm();
     if (nearest <= 500) return "";
     return "lies " + std::to_string(std::lround(nearest / 1000)) + " km from the city model" +
            (axis_order_.empty() ? "" : ", whose coordinates were taken as " + axis_order_);
@@ -306,7 +300,7 @@ class ImageList {
   const CityModel& model_;
   const std::string& axis_order_;
   BuildReport& report_;
-  const Corners corners_;
+  const PlaneIndex corners_;
   std::vector<BuildItem> items_;
   std::set<std::string> ids_;
   Stems stems_;

@@ -3,10 +3,8 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 #include <limits>
 #include <list>
-#include <map>
 #include <mutex>
 #include <opencv2/imgproc.hpp>
 #include <optional>
@@ -14,6 +12,7 @@
 #include <utility>
 
 #include "streetview_localizer/panorama_views.h"
+#include "streetview_localizer/plane_index.h"
 
 namespace streetview_localizer {
 namespace {
@@ -89,34 +88,13 @@ class ImageCache {
   std::size_t bytes_ = 0;
 };
 
-/// Places in plan by square cells, so that to find those near to one takes no look at all others.
-class PlanGrid {
- public:
-  explicit PlanGrid(double cell) : cell_(cell) {}
-
-  void add(const Eigen::Vector3d& place, int index) { cells_[cellOf(place)].push_back(index); }
-
-  /// Calls `visit` with the index of each place that is no more than a cell away along either axis, and some more.
-  template <typename Visit>
-  void around(const Eigen::Vector3d& place, Visit visit) const {
-    const Cell middle = cellOf(place);
-    for (std::int64_t x = middle.first - 1; x <= middle.first + 1; ++x)
-      for (std::int64_t y = middle.second - 1; y <= middle.second + 1; ++y)
-        if (const auto cell = cells_.find({x, y}); cell != cells_.end())
-          for (const int index : cell->second) visit(index);
-  }
-
- private:
-  using Cell = std::pair<std::int64_t, std::int64_t>;
-
-  Cell cellOf(const Eigen::Vector3d& place) const {
-    return {static_cast<std::int64_t>(std::floor(place.x() / cell_)),
-            static_cast<std::int64_t>(std::floor(place.y() / cell_))};
-  }
-
-  double cell_;  // side [m]
-  std::map<Cell, std::vector<int>> cells_;
-};
+/// In plan, those that may be asked.
+PlaneIndex usableOf(const std::vector<ConsistencyImage>& images) {
+  std::vector<std::pair<Eigen::Vector2d, int>> places;
+  for (std::size_t i = 0; i < images.size(); ++i)
+    if (images[i].usable) places.emplace_back(images[i].T_world_image.translation().head<2>(), static_cast<int>(i));
+  return PlaneIndex(places);
+}
 
 }  // namespace
 
@@ -125,7 +103,7 @@ struct FacadeConsistency::Impl {
   std::vector<ConsistencyImage> images;
   std::function<cv::Mat(int)> load;
   ConsistencySettings settings;
-  PlanGrid usable;  // images
+  PlaneIndex usable;
   mutable ImageCache cache;
 
   cv::Mat image(int index) const {
@@ -222,10 +200,9 @@ struct FacadeConsistency::Impl {
 };
 
 FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<ConsistencyImage> images,
-                                     std::function<cv::Mat(int)> load, const ConsistencySettings& settings)
-    : impl_(new Impl{model, std::move(images), std::move(load), settings, PlanGrid(settings.max_distance), {}}) {
-  for (std::size_t i = 0; i < impl_->images.size(); ++i)
-    if (impl_->images[i].usable) impl_->usable.add(impl_->images[i].T_world_image.translation(), static_cast<int>(i));
+                                     std::function<cv::Mat(int)> load, const ConsistencySettings& settings) {
+  PlaneIndex usable = usableOf(images);
+  impl_.reset(new Impl{model, std::move(images), std::move(load), settings, std::move(usable), {}});
 }
 FacadeConsistency::~FacadeConsistency() = default;
 
@@ -233,11 +210,11 @@ std::vector<int> FacadeConsistency::neighbours(int own) const {
   const Impl& d = *impl_;
   std::vector<std::pair<double, int>> near;
   const Eigen::Vector3d place = d.images[own].T_world_image.translation();
-  d.usable.around(place, [&](int i) {
+  for (const int i : d.usable.inSquare(place.head<2>(), d.settings.max_distance)) {
     const double distance = (d.images[i].T_world_image.translation() - place).norm();
     if (i != own && distance > d.settings.min_distance && distance < d.settings.max_distance)
       near.emplace_back(distance, i);
-  });
+  }
   std::sort(near.begin(), near.end());
   std::vector<int> indices;
   for (const auto& [distance, index] : near) indices.push_back(index);

@@ -1,8 +1,6 @@
 #include "streetview_localizer/database.h"
 
-#include <boost/geometry.hpp>
-#include <boost/geometry/geometries/point.hpp>
-#include <boost/geometry/index/rtree.hpp>
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 #include <limits>
@@ -16,22 +14,11 @@
 
 namespace streetview_localizer {
 
-namespace bgi = boost::geometry::index;
-using PlanePoint = boost::geometry::model::point<double, 2, boost::geometry::cs::cartesian>;
-
-struct StreetviewDatabase::Index {
-  bgi::rtree<std::pair<PlanePoint, int>, bgi::quadratic<16>> tree;
-};
-
 void StreetviewDatabase::buildIndex() {
-  std::vector<std::pair<PlanePoint, int>> entries;
-  for (std::size_t i = 0; i < panoramas.size(); ++i) {
-    const Eigen::Vector3d& p = panoramas[i].T_world_panorama.translation();
-    entries.emplace_back(PlanePoint(p.x(), p.y()), static_cast<int>(i));
-  }
-  auto index = std::make_shared<Index>();
-  index->tree = decltype(index->tree)(entries);
-  index_ = index;
+  std::vector<std::pair<Eigen::Vector2d, int>> entries;
+  for (std::size_t i = 0; i < panoramas.size(); ++i)
+    entries.emplace_back(panoramas[i].T_world_panorama.translation().head<2>(), static_cast<int>(i));
+  index_.emplace(entries);
   views_of_.assign(panoramas.size(), {});
   for (std::size_t i = 0; i < views.size(); ++i)
     views_of_.at(static_cast<std::size_t>(views[i].panorama)).push_back(static_cast<int>(i));
@@ -42,12 +29,8 @@ const std::vector<int>& StreetviewDatabase::viewsOf(int panorama) const {
 }
 
 std::vector<int> StreetviewDatabase::nearest(const Eigen::Vector3d& position, int count) const {
-  std::vector<int> found;
-  if (!index_ || count <= 0) return found;
-  const PlanePoint centre(position.x(), position.y());
-  for (auto it = index_->tree.qbegin(bgi::nearest(centre, static_cast<unsigned>(count))); it != index_->tree.qend();
-       ++it)
-    found.push_back(it->second);
+  if (!index_ || count <= 0) return {};
+  std::vector<int> found = index_->nearest(position.head<2>(), static_cast<unsigned>(count));
   const auto distance = [&](int i) {
     return (panoramas[i].T_world_panorama.translation() - position).head<2>().norm();
   };
@@ -58,14 +41,11 @@ std::vector<int> StreetviewDatabase::nearest(const Eigen::Vector3d& position, in
 std::vector<int> StreetviewDatabase::near(const Eigen::Vector3d& position, double radius) const {
   std::vector<int> found;
   if (!index_) return found;
-  using Box = boost::geometry::model::box<PlanePoint>;
-  const Box box(PlanePoint(position.x() - radius, position.y() - radius),
-                PlanePoint(position.x() + radius, position.y() + radius));
   const auto distance = [&](int i) {
     return (panoramas[i].T_world_panorama.translation() - position).head<2>().norm();
   };
-  for (auto it = index_->tree.qbegin(bgi::intersects(box)); it != index_->tree.qend(); ++it)
-    if (distance(it->second) <= radius) found.push_back(it->second);
+  for (const int i : index_->inSquare(position.head<2>(), radius))
+    if (distance(i) <= radius) found.push_back(i);
   std::sort(found.begin(), found.end(), [&](int a, int b) { return distance(a) < distance(b); });
   return found;
 }

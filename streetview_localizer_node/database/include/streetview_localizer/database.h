@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "streetview_localizer/city_model.h"
+#include "streetview_localizer/plane_index.h"
 #include "streetview_localizer/types.h"
 
 namespace streetview_localizer {
@@ -37,8 +38,7 @@ struct StreetviewDatabase {
   void buildIndex();
 
  private:
-  struct Index;
-  std::shared_ptr<const Index> index_;
+  std::optional<PlaneIndex> index_;
   std::vector<std::vector<int>> views_of_;
 };
 
