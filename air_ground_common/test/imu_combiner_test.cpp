@@ -2,10 +2,13 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <random>
 #include <vector>
 
 #include "air_ground_common/packet_spreader.h"
+#include "air_ground_common/range_end.h"
 
 namespace air_ground_common {
 namespace {
@@ -91,6 +94,33 @@ TEST(PacketSpreader, LeavesOthersAsTheyAre) {
                              return gaps;
                            }()}) {
     EXPECT_EQ(spreadStamps(static_cast<int>(told.size()), [&](int i) { return told[i]; }), told);
+  }
+}
+
+/// Share of 20,000 readings of normally distributed vibration that are said to lie at the end of the range.
+double shareAtEnd(double sigma, double end, double step) {
+  std::mt19937 random(11);
+  std::normal_distribution<double> vibration(0, sigma);
+  RangeEnd range(18);
+  int at_end = 0;
+  for (int i = 0; i < 20000; ++i) {
+    const double x = step * std::round(vibration(random) / step);
+    at_end += range.reached({0.1, std::clamp(x, -end, end), 9.81});
+  }
+  return at_end / 20000.0;
+}
+
+TEST(RangeEnd, IsWhereReadingsAreCutOff) {
+  EXPECT_NEAR(shareAtEnd(30, 39.2266, 0.0012), 0.191, 0.01);       // beyond 1.31 sigma
+  EXPECT_NEAR(shareAtEnd(13.07, 39.2266, 0.0012), 0.0027, 0.001);  // beyond 3 sigma
+}
+
+TEST(RangeEnd, IsNotWhereTheMotionEnds) {
+  for (const double step : {1e-9, 0.0048, 0.15}) EXPECT_EQ(shareAtEnd(8, 1e9, step), 0) << step;
+  RangeEnd even(18), still(18);
+  for (int i = 0; i < 5000; ++i) {
+    EXPECT_FALSE(even.reached({0, 0, 9.81 + 12 * std::sin(0.37 * i)})) << "a steady vibration dwells at its ends";
+    EXPECT_FALSE(still.reached({0, 0, 9.81}));
   }
 }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/ros/sensor_input.h"
 
 namespace air_ground_common::ros_utils {
@@ -60,6 +61,20 @@ TEST(ImuInput, SpreadsPacketsOfAnAccelerometerOfItsOwn) {
     EXPECT_NEAR(samples[i].stamp - samples[i - 1].stamp, 0.005, 1e-6);
     EXPECT_NEAR(samples[i].specific_force.z(), samples[i].stamp - 1, 1e-6);
   }
+}
+
+TEST(ImuInput, CountsWhatTheRangeCutsOff) {
+  NodeHealth health("imu_range_test");
+  const NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
+  ImuInput input(health, false);
+  for (int i = 0; i < 40; ++i) {
+    sensor_msgs::Imu message;
+    message.header.stamp = ros::Time(10 + 0.005 * i);
+    message.linear_acceleration.z = i % 2 == 0 ? 9.81 : 39.2266;
+    EXPECT_EQ(input.read(message).size(), 1u) << "it is still the best there is";
+  }
+  EXPECT_TRUE(diagnostics.await("accelerations cut off at 39.2 m/s^2, the end of the sensor's range", 11));
+  EXPECT_EQ(diagnostics.counted("turn rates cut off"), 0);
 }
 
 TEST(ImuInput, JudgesTheUnitAgainAndAgain) {

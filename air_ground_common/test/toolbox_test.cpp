@@ -24,7 +24,7 @@ TEST(Statistics, QuantilesAreOrderStatistics) {
 TEST(Niceness, IsOfTheThreadAndThoseThatItStarts) {
   const auto own = [] { return getpriority(PRIO_PROCESS, 0); };
   const int before = own();
-  int given = 0, inherited = 0;
+  int given = 0, inherited = 0, within = 0;
   std::thread([&] {
     air_ground_common::giveWay(0);
     EXPECT_EQ(own(), before);
@@ -32,6 +32,11 @@ TEST(Niceness, IsOfTheThreadAndThoseThatItStarts) {
     given = own();
     std::thread([&] { inherited = own(); }).join();
   }).join();
+  std::thread([&] {
+    air_ground_common::giveWayWithin(12);
+    within = own();
+  }).join();
+  EXPECT_EQ(within, 12);
   EXPECT_EQ(given, 17);
   EXPECT_EQ(inherited, 17);
   EXPECT_EQ(own(), before);

@@ -80,7 +80,7 @@ class CityEvaluation(unittest.TestCase):
                 self.assertAlmostEqual(module.read_gps(bag, found, parameters).positions[0][1], distance, delta=2.0)
             self.assertIn('GPS is that of /backup/fix, since the bag has no /ublox/fix', notes[0])
             self.assertIsNone(module.read_gps(bag, '', parameters))
-        values = {'bag': 'x.bag', 'bag_duration_s': 3, 'wall_time_s': 3, 'images_tried': 0, 'fixes': 0, 'gps_topic': '/backup/fix'}
+        values = {'bag': 'x.bag', 'bag_duration_s': 3, 'wall_time_s': 3, 'images_tried': 0, 'fixes': 0, 'gps_topic': '/backup/fix', 'tracker_coverage_since_start_percent': 93.4}
         self.assertIn('\nGPS: /backup/fix\n', city_table.table(values, ['gps', 'tracker'], '', {}, []))
 
     def test_scipy_before_and_after_it_renamed_matrices(self):
@@ -120,6 +120,15 @@ class CityEvaluation(unittest.TestCase):
         result = city_evaluation.dead_reckoning(steps, 0.0, start, np.zeros((4, 4)), 4.0, attitudes)
         self.assertLess(np.abs(result.positions - np.array([p[:3, 3] for p in poses])).max(), 1e-9)
         self.assertLess(np.abs(result.yaws - city_evaluation.yaw_of(np.array(poses))).max(), 1e-9)
+
+    def test_pure_odometry_ends_where_it_was_lost(self):
+        """Nobody knows what the robot did meanwhile: to join both parts would put the second one where the first ended."""
+        steps, _, _ = self.steps()
+        self.assertEqual(city_evaluation.unbroken(steps, 0.55), (steps[5:], None))
+        before, (begin, length) = city_evaluation.unbroken(steps[:20] + steps[25:], 0.55)
+        self.assertEqual(before, steps[5:20])
+        self.assertAlmostEqual(begin, steps[19].stamp)
+        self.assertAlmostEqual(length, 0.6)
 
     def test_covariance_is_the_spread(self):
         steps, attitudes, poses = self.steps()

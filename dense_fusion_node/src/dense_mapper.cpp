@@ -237,7 +237,7 @@ std::vector<Eigen::Vector3f> DenseMapper::sparsePoints() const {
 std::optional<FusedMap> DenseMapper::inPosesUnit(std::optional<FusedMap> fused) const {
   if (!fused || unit_ == 1) return fused;
   const double scale = 1 / unit_;
-  fused->depth_map.depth.convertTo(fused->depth_map.depth, CV_32F, scale);
+  if (!fused->depth_map.depth.empty()) fused->depth_map.depth.convertTo(fused->depth_map.depth, CV_32F, scale);
   fused->depth_map.T_map_camera.translation() *= scale;
   for (SurfacePoint& p : fused->points) p.position *= static_cast<float>(scale);
   fused->grid.origin *= scale;
@@ -310,7 +310,7 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
         reference = i;
       }
     }
-    fused = fuseDepthMaps(group, reference, settings_.fusion, sparsePoints());
+    fused = fuseDepthMaps(group, reference, settings_.fusion, sparsePoints(), views_);
     if (fused) {
       ++counters_.fused;
       fused->newest_image = recent_.back().stamp;

@@ -173,8 +173,8 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
 }
 
 std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference,
-                                      const FusionSettings& settings,
-                                      const std::vector<Eigen::Vector3f>& sparse_points) {
+                                      const FusionSettings& settings, const std::vector<Eigen::Vector3f>& sparse_points,
+                                      bool view) {
   if (reference >= maps.size()) throw std::invalid_argument("depth fusion: the reference view is not among the maps");
   if (maps.size() > 255) throw std::invalid_argument("depth fusion: at most 255 depth maps fit in the 8-bit votes");
   if (!(settings.truncation_voxels >= 1) || !(settings.behind_voxels >= 0))
@@ -200,19 +200,19 @@ std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::si
 
   const auto support = surfaceSupport(votes, settings.fill_radius, settings.threads);
   const SurfaceField field{*grid, solution.phi, support, settings.min_support};
-  const DepthMap& view = maps[reference];
-  fused.depth_map.stamp = view.stamp;
-  fused.depth_map.camera = view.camera;
-  fused.depth_map.T_map_camera = view.T_map_camera;
-  fused.depth_map.intensity = view.intensity;
+  const DepthMap& seen = maps[reference];
+  fused.depth_map.stamp = seen.stamp;
+  fused.depth_map.camera = seen.camera;
+  fused.depth_map.T_map_camera = seen.T_map_camera;
+  fused.depth_map.intensity = seen.intensity;
   for (const DepthMap& map : maps) fused.depth_map.frames += map.frames;
-  fused.depth_map.depth = castRays(field, view.camera, view.T_map_camera, settings.threads, &fused.normals);
+  if (view) fused.depth_map.depth = castRays(field, seen.camera, seen.T_map_camera, settings.threads);
   fused.points = extractSurface(field, settings.threads);
   dropBackFaces(maps, &fused.points);
   DepthMapViews views(maps, reference, {truncation, 0.75 * truncation, grid->voxel_size, 0});
   views.setAgreement(std::max(settings.agreement * grid->voxel_size, depthDeviation(views, fused.points)));
-  askAboutView(views, settings, &fused.depth_map);
-  askAboutPoints(views, settings, view.T_map_camera, &fused.points);
+  if (view) askAboutView(views, settings, &fused.depth_map);
+  askAboutPoints(views, settings, seen.T_map_camera, &fused.points);
   double sum = 0;
   for (const SurfacePoint& p : fused.points) sum += p.support;
   fused.mean_support = fused.points.empty() ? 0 : sum / static_cast<double>(fused.points.size());

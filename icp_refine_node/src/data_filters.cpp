@@ -86,7 +86,7 @@ void forNeighbors(const Cloud& cloud, int count, float max_distance, const Job& 
   const int n = static_cast<int>(cloud.size());
   constexpr int kBlock = 512;  // points that one thread walks through
   air_ground_common::FirstException failure;
-#pragma omp parallel for schedule(static)
+#pragma omp parallel for schedule(dynamic, 1)  // a thread may have to share its core
   for (int begin = 0; begin < n; begin += kBlock)
     failure.guard([&] {
       NeighborWalk near(cloud, tree, count, max_distance);

@@ -148,7 +148,7 @@ void match(const Matcher& matcher, const NeighborSearch& tree, const Cloud& read
   matches.traces.resize(n);
   matches.weights.resize(n);
   const bool normals = reading.hasNormals();
-#pragma omp parallel for schedule(static)
+#pragma omp parallel for schedule(dynamic, 256)  // a thread may have to share its core
   for (int i = 0; i < n; ++i) {
     const Eigen::Vector3f normal = normals ? reading.normals[i] : Eigen::Vector3f(Eigen::Vector3f::Zero());
     int& index = matches.reference_index[i];

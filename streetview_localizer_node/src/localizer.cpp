@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 #include <utility>
@@ -12,8 +13,8 @@
 #include "air_ground_common/text.h"
 #include "candidates.h"
 #include "mirror_check.h"
-#include "pyramid_cache.h"
 #include "step_times.h"
+#include "streetview_localizer/recent_cache.h"
 #include "view_search.h"
 
 namespace streetview_localizer {
@@ -54,6 +55,8 @@ const char* nameOf(Step step) {
 
 namespace {
 
+constexpr std::size_t kPyramidBytes = std::size_t{256} << 20;
+
 // An image of much finer resolution than the database's views shows nothing more that could be matched, while
 // tolerances in pixels become narrow in it and everything takes long: it is reduced to this multiple of the views'
 // focal length.
@@ -73,7 +76,8 @@ struct StreetviewLocalizer::Impl {
   BackProjector projector;
   ViewSearch search;
   CandidateFinder candidates;
-  mutable PyramidCache pyramids;
+  /// Gradients of the views' images, which k-VLD needs: too large to keep them all.
+  mutable RecentCache<std::shared_ptr<const GradientPyramid>> pyramids;
   const double searched_focal;  // of a large image, once reduced [px]
 
   Impl(std::shared_ptr<const StreetviewDatabase> db, const StreetviewLocalizerSettings& s)
@@ -82,7 +86,7 @@ struct StreetviewLocalizer::Impl {
         projector(database->model),
         search(*database, settings),
         candidates(*database, projector, settings),
-        pyramids(*database),
+        pyramids(kPyramidBytes, [](const auto& pyramid) { return pyramid->bytes(); }),
         searched_focal(kSearchedFocal * medianFocal(*database)) {}
 
   static void adopt(Candidate&& c, LocalizerResult* result) {
@@ -265,8 +269,10 @@ class StreetviewLocalizer::Query {
         times_.timed(Step::kMatching, [&] { return matchPairwise(query, seen, settings_.pairwise); });
     if (static_cast<int>(putative.size()) < settings_.min_view_matches) return out;
     const auto timer = times_.measure(Step::kVerification);
-    const KvldResult kvld =
-        filterKvld(pyramid_, *engine_.pyramids.of(index), query.keypoints, seen.keypoints, putative, settings_.kvld);
+    const auto pyramid = engine_.pyramids.get(index, [&] {
+      return std::make_shared<const GradientPyramid>(engine_.database->views[static_cast<std::size_t>(index)].image);
+    });
+    const KvldResult kvld = filterKvld(pyramid_, *pyramid, query.keypoints, seen.keypoints, putative, settings_.kvld);
     auto kept = kvld.kept.begin();  // ascending
     for (int i = 0; i < static_cast<int>(putative.size()); ++i) {
       const bool survived = kept != kvld.kept.end() && *kept == i;

@@ -23,7 +23,8 @@ void CalibrationReport::update(double k1) {
 }
 
 void MountingReport::update(const Eigen::Matrix3d& R_given_imu) {
-  constexpr double kWorthALine = 0.5;  // [degrees]
+  constexpr double kWorthALine =
+      1;  // [degrees]: estimates wander by half of it until the MAV has turned about all axes
   const double turned = rotationAngle(Eigen::Matrix3d::Identity(), R_given_imu) / kDegree;
   health_.value("IMU turned against its mounting [degrees]", turned);
   if (rotationAngle(told_, R_given_imu) < kWorthALine * kDegree) return;

@@ -11,9 +11,10 @@ namespace visual_frontend {
 
 namespace {
 
-constexpr double kStep = 0.005;  // [s]
-constexpr double kMaxGap = 0.1;  // [s]
-constexpr double kPart = 0.5;    // [s]
+constexpr double kStep = 0.005;    // [s]
+constexpr double kMaxGap = 0.1;    // [s]
+constexpr double kPart = 0.5;      // [s]
+constexpr double kSlowest = 0.04;  // accelerometer, from reading to reading [s]
 constexpr std::size_t kParts = 8;
 constexpr double kLeast = 0.15;  // of values, once the kernels are full [s]
 constexpr int kOrder = 5;        // of the differences: the motion's Taylor series up to the fourth power vanishes
@@ -53,6 +54,24 @@ double heldPower(const std::vector<double>& kernel, double interval) {
   return squares / (hold * hold * kStep);
 }
 
+/// The same of white noise that is interpolated linearly between knots `interval` [s] apart.
+double interpolatedPower(const std::vector<double>& kernel, double interval) {
+  constexpr int kPhases = 8;
+  const double knot = interval / kStep;  // [steps]
+  const int reach = static_cast<int>(static_cast<double>(kernel.size()) / knot) + 2;
+  double squares = 0;
+  for (int phase = 0; phase < kPhases; ++phase) {
+    for (int k = -1; k < reach; ++k) {
+      const double at = knot * (k + static_cast<double>(phase) / kPhases);
+      double sum = 0;
+      for (std::size_t i = 0; i < kernel.size(); ++i)
+        sum += kernel[i] * std::max(0.0, 1 - std::abs(static_cast<double>(i) - at) / knot);
+      squares += sum * sum;
+    }
+  }
+  return squares / (kPhases * interval);
+}
+
 }  // namespace
 
 AccelNoise::AccelNoise() {
@@ -85,6 +104,7 @@ void AccelNoise::reset() {
 void AccelNoise::restart(double stamp) {
   means_.clear();
   samples_.clear();
+  knots_ = {};
   integral_.setZero();
   end_ = stamp + kStep;
 }
@@ -97,6 +117,7 @@ void AccelNoise::add(double stamp, const Eigen::Vector3d& specific_force) {
   } else {
     interval_ += (stamp - stamp_ - interval_) / std::min<long>(++intervals_, 200);
     addRaw(specific_force, stamp - stamp_);
+    knots_.add(stamp, specific_force);
     // Held, not interpolated: that would take from the noise of few samples a second.
     double begin = stamp_;
     for (; end_ <= stamp; end_ += kStep) {
@@ -107,6 +128,30 @@ void AccelNoise::add(double stamp, const Eigen::Vector3d& specific_force) {
     integral_ += (stamp - begin) * specific_force;
   }
   stamp_ = stamp;
+}
+
+// Three readings on a line are no measurements of their own; where a line ends, there was one.
+void AccelNoise::Knots::add(double stamp, const Eigen::Vector3d& value) {
+  constexpr double kSame = 1e-3;  // relative; a stamp of today is known to a quarter of a microsecond
+  constexpr long kMemory = 400;
+  const Eigen::Vector3d slope = (value - last_value) / (stamp - last_stamp);
+  if (readings >= 2) {
+    const double weight = 1.0 / std::min(readings - 1, kMemory);
+    const bool line = (slope - last_slope).norm() <= kSame * (slope.norm() + last_slope.norm());
+    lines += weight * (line - lines);
+    ends += weight * ((!line && on_line) - ends);
+    on_line = line;
+  }
+  last_value = value;
+  last_stamp = stamp;
+  last_slope = slope;
+  ++readings;
+}
+
+double AccelNoise::Knots::apart() const {
+  constexpr double kLeastLines = 0.05, kEachSeen = 1.0 / 3;
+  if (lines < kLeastLines || ends <= 0) return 1;
+  return lines >= kEachSeen ? 1 / ends : 2 / (1 - lines);
 }
 
 void AccelNoise::addRaw(const Eigen::Vector3d& specific_force, double interval) {
@@ -134,9 +179,12 @@ void AccelNoise::addMean(const Eigen::Vector3d& mean) {
 
 double AccelNoise::density() const {
   double least = std::numeric_limits<double>::infinity();
+  const double knots = knots_.apart() * interval_;
+  const bool interpolated = knots > 1.5 * interval_ && knots < kSlowest;
   for (const Band& band : bands_) {
     if (!band.power.known()) return 0;
-    least = std::min(least, band.power.typical() / heldPower(band.kernel, interval_));
+    const double passed = interpolated ? interpolatedPower(band.kernel, knots) : heldPower(band.kernel, interval_);
+    least = std::min(least, band.power.typical() / passed);
   }
   const double nyquist = nyquist_.typical();
   return nyquist > least ? std::pow(least, 1.5) / nyquist : std::sqrt(least);

@@ -3,11 +3,8 @@
 #include <chrono>
 #include <stdexcept>
 #include <utility>
-#ifdef __linux__
-#include <sys/resource.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-#endif
+
+#include "air_ground_common/niceness.h"
 
 namespace visual_frontend {
 
@@ -15,12 +12,7 @@ namespace {
 
 constexpr double kEarliest = 1.0;      // after it began, and so often it is asked for [s]
 constexpr double kPerKeyframe = 0.02;  // for which an idle desktop's core takes less [s]
-
-void yieldToOtherThreads() {
-#ifdef __linux__
-  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 10);
-#endif
-}
+constexpr int kNiceness = 10;          // images go first
 
 }  // namespace
 
@@ -31,7 +23,7 @@ void WholeMapThread::start(BundleJob job, double stamp) {
   cancelled_ = std::make_shared<std::atomic<bool>>(false);
   job.settings.cancelled = cancelled_;
   result_ = std::async(std::launch::async, [job = std::move(job)]() mutable {
-    yieldToOtherThreads();
+    air_ground_common::giveWayWithin(kNiceness);
     job.solve();
     return std::move(job);
   });

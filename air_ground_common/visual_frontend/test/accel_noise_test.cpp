@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <random>
+#include <utility>
 
 #include "visual_frontend/accel_noise.h"
 
@@ -29,6 +30,31 @@ TEST(AccelNoise, WhiteNoiseHasItsDensity) {
   for (const double rate : {50.0, 66.0, 100.0, 200.0, 400.0, 1000.0})
     for (const double density : {0.004, 0.1})
       EXPECT_NEAR(measured(rate, 20, density, still), density, (rate < 150 ? 0.3 : 0.2) * density) << rate << " Hz";
+}
+
+// As RealSense's driver unites both sensors, and ImuCombiner: half of the noise was found in them.
+TEST(AccelNoise, InterpolatedReadingsHaveTheNoiseOfThoseBetweenWhichTheyLie) {
+  for (const double accel_rate : {63.0, 66.7, 100.0, 250.0}) {
+    for (const double gyro_rate : {200.0, 400.0}) {
+      std::mt19937 random(9);
+      const double density = 0.1;
+      std::normal_distribution<double> normal(0, density * std::sqrt(accel_rate));
+      const auto reading = [&] { return Eigen::Vector3d(normal(random), normal(random), 9.81 + normal(random)); };
+      AccelNoise noise;
+      Eigen::Vector3d before = reading(), after = reading();
+      double next = 1 / accel_rate;
+      for (int i = 0; i < 20 * gyro_rate; ++i) {
+        const double t = i / gyro_rate;
+        while (next < t) {
+          before = std::exchange(after, reading());
+          next += 1 / accel_rate;
+        }
+        const double a = (next - t) * accel_rate;
+        noise.add(1.7e9 + t, a * before + (1 - a) * after);
+      }
+      EXPECT_NEAR(noise.density(), density, 0.25 * density) << accel_rate << " Hz at " << gyro_rate << " Hz";
+    }
+  }
 }
 
 TEST(AccelNoise, MotionIsNoNoise) {

@@ -136,6 +136,16 @@ class Updates:
         return len(self._items)
 
 
+def unbroken(increments, start_stamp):
+    """The increments from `start_stamp` on up to where one does not begin at the end of the one before, since odometry was lost meanwhile, and that gap:
+    its begin and its length [s], or None."""
+    after = [step for step in increments if step.stamp > start_stamp + 1e-6]
+    for i in range(1, len(after)):
+        if abs(after[i].previous_stamp - after[i - 1].stamp) > 1e-3:
+            return after[:i], (after[i - 1].stamp, after[i].stamp - after[i - 1].stamp)
+    return after, None
+
+
 def dead_reckoning(increments, start_stamp, start, start_covariance, scale=1.0, attitudes=None, scale_stddev=0.0, noise=None):
     """Pure visual odometry: the increments from `start` (x y z yaw) at `start_stamp` on, with nothing to correct them.
 

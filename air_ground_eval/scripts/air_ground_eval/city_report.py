@@ -10,7 +10,7 @@ from . import city_evaluation as evaluate
 from . import city_figures, city_table
 from .city_database import City
 from .city_evaluation import Estimated, Noise, Way
-from .evaluation import Track, write_tum
+from .evaluation import Track, coverage, write_tum
 from .geometry import pose, rotation_z
 
 FUSED, REFUSED, INITIALISED, RECOVERED, AGREED = 'fused', 'refused', 'initialised', 'recovered', 'agreed'
@@ -96,16 +96,21 @@ class Report:
         return v
 
     def _gather(self, way):
-        """All sources over the same stretch: from the tracker's first pose on."""
+        """All sources over the same stretch: from the tracker's first pose on, pure VO as far as it goes."""
         r = self.r
         if not len(r.tracker):
             return
         start = r.tracker.stamps[0]
         first = np.append(r.tracker.positions[0], r.tracker.yaws[0])
         attitudes = {stamp: T[:3, :3] for stamp, T in r.attitudes.items()}
+        self.values['tracker_coverage_since_start_percent'] = 100 * coverage(r.tracker.stamps, start, r.end)
+        increments, gap = evaluate.unbroken(r.increments, start)
+        if gap:
+            self.values['vo_ends_after_s'] = float(gap[0] - start)
+            r.notes.append(f'odometry was lost {gap[0] - start:.0f} s after the start of the tracker, for {gap[1]:.1f} s: pure VO is that of before, its errors those up to there')
 
         def reckon(state, covariance):
-            return evaluate.dead_reckoning(r.increments, start, state, covariance, r.start_scale, attitudes, r.start_scale_stddev, r.noise)
+            return evaluate.dead_reckoning(increments, start, state, covariance, r.start_scale, attitudes, r.start_scale_stddev, r.noise)
 
         self.sources['vo'] = reckon(first, r.tracker.covariances[0])
         if way is not None:

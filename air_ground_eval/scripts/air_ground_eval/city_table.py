@@ -17,7 +17,7 @@ def table(v, sources, scale, along, notes):
     if not names:
         lines.append(f'the tracker never started: {v["fixes"]} fixes from {v["images_tried"]} images')
     else:
-        lines.append(f'tracker started after {v.get("tracker_start_after_m", 0):.1f} m' + scale)
+        lines.append(f'tracker started after {v.get("tracker_start_after_m", 0):.1f} m' + scale + f'; it covers {v["tracker_coverage_since_start_percent"]:.0f} % of the time since')
         lines.append(f'{"":30}' + ''.join(f'{NAMES[name]:>19}' for name in names) + '   Majdik et al. 2014')
         rows = [('position error, mean', 'position_error_mean_m', 'm'), ('  95 %', 'position_error_95_percent_m', 'm'),
                 ('  at the end', 'position_error_at_end_m', 'm'), ('yaw error, mean', 'yaw_error_mean_deg', 'deg'),

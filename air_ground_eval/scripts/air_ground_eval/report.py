@@ -237,6 +237,7 @@ class Report:
         if r.latencies:
             v['latency_clouds'] = len(r.latencies)
             self.figure['latencies'] = np.array(r.latencies) - [self.begins['mav'], 0, 0]
+            v['latency_of_clouds_s'] = [[round(float(x), 3) for x in row] for row in self.figure['latencies']]  # time in the bag, to the cloud, to the pose
             for name, delays in zip(('cloud', 'refined'), self.figure['latencies'][:, 1:].T):
                 v[f'{name}_latency_median_s'] = float(np.median(delays))
                 v[f'{name}_latency_95_percent_s'] = float(np.quantile(delays, 0.95))

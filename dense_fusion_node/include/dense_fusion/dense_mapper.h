@@ -109,6 +109,9 @@ class DenseMapper {
   /// tell the scale of each depth map (see sparseDepthRatio); none lift the bound.
   void setSparsePoints(std::vector<Eigen::Vector3f> points) { sparse_points_ = std::move(points); }
 
+  /// Without it fused maps have no depth map of their reference view: see fuseDepthMaps.
+  void makeViews(bool make) { views_ = make; }
+
   const MapperCounters& counters() const { return counters_; }
   /// Called with each kept depth map, in metres, before it is fused, e.g. to look at it.
   void onDepthMap(std::function<void(const DepthMap&)> callback) { on_depth_map_ = std::move(callback); }
@@ -132,6 +135,7 @@ class DenseMapper {
   std::vector<Eigen::Vector3f> sparsePoints() const;  // in metres, as the next
 
   MapperSettings settings_;
+  bool views_ = true;
   double unit_ = 1;  // see unit()
   bool followed_ = false;
   std::unique_ptr<Rectifier> rectifier_;

@@ -35,7 +35,6 @@ struct FusionTimings {
 
 struct FusedMap {
   DepthMap depth_map;  ///< the surface seen from the reference view; confidence grows with the maps that agree
-  cv::Mat normals;     ///< CV_32FC3, map frame
   std::vector<SurfacePoint> points;  ///< the whole surface in the grid
   VoxelGrid grid;
   int depth_maps = 0;       ///< fused
@@ -52,9 +51,10 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
                                  const std::vector<Eigen::Vector3f>& sparse_points);
 
 /// Fuses the maps; `reference` is the index of the view to cast rays from. Empty when they hold too little depth.
-/// Throws std::invalid_argument for bad settings or an index out of range.
+/// Without `view` the depth map has no depth and no confidence: casting rays takes a tenth of the time. Throws
+/// std::invalid_argument for bad settings or an index out of range.
 std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference,
                                       const FusionSettings& settings,
-                                      const std::vector<Eigen::Vector3f>& sparse_points = {});
+                                      const std::vector<Eigen::Vector3f>& sparse_points = {}, bool view = true);
 
 }  // namespace dense_fusion

@@ -123,6 +123,7 @@ class DenseFusionNode {
   }
 
   void perform(const Work& work) {
+    mapper_.makeViews(publisher_.depthMapsWanted());
     switch (work.kind) {
       case Work::Kind::kReset:
         saveEndedMap();
@@ -156,6 +157,7 @@ class DenseFusionNode {
   }
 
   void saveEndedMap() {
+    map_.thin();
     if (map_.size() == 0) return;
     autosave_.save("map_map" + std::to_string(++ended_maps_) + ".ply",
                    [this](const std::string& path) { map_.write(path); });
@@ -270,8 +272,9 @@ class DenseFusionNode {
 
   void publish(const FusedMap& fused) {
     map_.add(fused.depth_map.stamp, fused.points);  // before anybody can ask for what was published
-    if (!queue_.unlessReset([&] { publisher_.publish(fused, frame_id_, camera_frame_, *map_id_); }))
-      return health_.count("fused maps of the time before a jump or reset dropped");
+    const bool valid = queue_.unlessReset([&] { publisher_.publish(fused, frame_id_, camera_frame_, *map_id_); });
+    map_.thin();
+    if (!valid) return health_.count("fused maps of the time before a jump or reset dropped");
     health_.timing("fusion: votes [s]", fused.timings.votes);
     health_.timing("fusion: minimisation [s]", fused.timings.minimisation);
     health_.timing("fusion: surface [s]", fused.timings.surface);

@@ -75,6 +75,10 @@ void FusedMapPublisher::publish(const FusedMap& fused, const std::string& map_fr
   std_msgs::Header header;
   header.stamp.fromNSec(static_cast<std::uint64_t>(fused.depth_map.stamp));
   header.frame_id = map_frame;
+  clouds_.publish(boost::make_shared<sensor_msgs::PointCloud2>(
+      ros_utils::toMsg(messagePoints(fused.points), ros_utils::CloudFields::kXyzIntensity, header)));
+  field_.publish(fieldMessage(fused, header));
+  if (fused.depth_map.depth.empty()) return;  // nobody subscribed
   std_msgs::Header optical = header;
   optical.frame_id = camera_frame;
 
@@ -89,9 +93,6 @@ void FusedMapPublisher::publish(const FusedMap& fused, const std::string& map_fr
   depth.map_id = map_id;
 
   depth_map_.publish(depth);
-  clouds_.publish(boost::make_shared<sensor_msgs::PointCloud2>(
-      ros_utils::toMsg(messagePoints(fused.points), ros_utils::CloudFields::kXyzIntensity, header)));
-  field_.publish(fieldMessage(fused, header));
 }
 
 void FusedMapPublisher::publish(const air_ground_common::CloudCorrections& corrections, const std_msgs::Header& header,

@@ -26,6 +26,9 @@ class FusedMapPublisher {
   /// The map has ended: who subscribes from now on gets nothing of it.
   void startMap() { clouds_.startMap(); }
 
+  /// Somebody subscribes to them.
+  bool depthMapsWanted() const { return depth_map_.getNumSubscribers() > 0; }
+
   // Both are called within WorkQueue::unlessReset().
 
   /// Poses and points are in map_frame, depth maps in camera_frame. The map has the points already.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <utility>
 
 #include "air_ground_common/followed_clouds.h"
 #include "air_ground_common/ros/file_services.h"
@@ -27,11 +28,19 @@ void MapStore::followUnit(double unit) {
 
 void MapStore::add(std::int64_t stamp, std::vector<SurfacePoint> points) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  PointMap thinned(std::max(cell_, settled_.cell()), settings_.map_max_points);
-  health_.count("points left out of the map: not finite, or too far away", thinned.add(points));
+  clouds_.emplace_back(stamp, Kept{std::move(points), {}, false});
+}
+
+void MapStore::thin() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  for (auto cloud = clouds_.rbegin(); cloud != clouds_.rend() && !cloud->second.thinned; ++cloud) {
+    PointMap thinned(std::max(cell_, settled_.cell()), settings_.map_max_points);
+    health_.count("points left out of the map: not finite, or too far away", thinned.add(cloud->second.points));
+    cloud->second.points = thinned.points();
+    cloud->second.thinned = true;
+  }
   const double cell = settled_.cell();
-  clouds_.emplace_back(stamp, Kept{thinned.points(), {}});
-  if (clouds_.size() > air_ground_common::kFollowedClouds) {
+  while (clouds_.size() > air_ground_common::kFollowedClouds) {
     settled_.add(asTheyStand(clouds_.front().second));
     clouds_.pop_front();
   }

@@ -30,10 +30,12 @@ class MapStore {
   void followUnit(double unit);
   /// A fused map, by its stamp [ns].
   void add(std::int64_t stamp, std::vector<SurfacePoint> points);
+  /// Makes those added as small as they are kept: some time after they were published.
+  void thin();
   void correct(const air_ground_common::CloudCorrections& corrections);
   std::size_t size() const;
-  /// The first of the clouds that follow corrections still whose stamp [ns] lies in first ... last: thinned, and where
-  /// it was before all corrections. Empty: there is none.
+  /// The first of the clouds that follow corrections still whose stamp [ns] lies in first ... last: thinned by now, and
+  /// where it was before all corrections. Empty: there is none.
   std::optional<std::pair<std::int64_t, std::vector<SurfacePoint>>> asPublished(std::int64_t first,
                                                                                 std::int64_t last) const;
   /// Of the points now; others may come while it writes. Number of points written. Throws std::runtime_error, also when
@@ -44,8 +46,9 @@ class MapStore {
   const NodeSettings& settings_;
   air_ground_common::ros_utils::NodeHealth& health_;
   struct Kept {
-    std::vector<SurfacePoint> points;  // as they were published
+    std::vector<SurfacePoint> points;  // where they were published
     air_ground_common::Similarity T_now_published;
+    bool thinned = false;
   };
   static std::vector<SurfacePoint> asTheyStand(const Kept& cloud);
   PointMap merged() const;

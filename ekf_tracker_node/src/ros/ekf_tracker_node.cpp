@@ -92,8 +92,8 @@ class EkfTrackerNode {
       onTimeJump();
     }
     // One from the future would push the history out, and all good ones behind it would be late.
-    if (!now.isZero() && msg->header.stamp.toSec() > now.toSec() + settings_.clock_tolerance)
-      return health_.count("increments ignored: stamped ahead of the clock");
+    const double ahead = msg->header.stamp.toSec() - now.toSec();
+    if (!now.isZero() && ahead > settings_.clock_tolerance) return state_.odometryAhead(ahead);
     const Synchronizer::Arrival arrival{msg->previous_stamp.toSec(), msg->header.stamp.toSec(), msg->metric != 0, msg};
     switch (synchronizer_.admit(arrival, steadySeconds())) {
       case Synchronizer::Admission::kSetAside:

@@ -22,6 +22,16 @@ void TrackerState::odometryUsed() {
   lost_ = false;
 }
 
+void TrackerState::odometryAhead(double seconds) {
+  health_.count("increments ignored: stamped ahead of the clock");
+  if (used_ && !lost_) return;  // one among good ones
+  health_.state(health_.kError,
+                air_ground_common::formatted(
+                    "visual odometry is stamped %.3g s ahead of this machine's clock: no pose is published. Keep the "
+                    "clocks of both machines together (chrony), or raise the parameter clock_tolerance",
+                    seconds));
+}
+
 void TrackerState::unlocated(double stamp, bool metric, const ros::Subscriber& fixes) {
   std::string line = metric ? "waiting for two fixes that agree"
                             : "waiting for fixes that agree, two of them far enough apart to give the odometry's scale";

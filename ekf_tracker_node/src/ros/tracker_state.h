@@ -19,6 +19,8 @@ class TrackerState {
   void fixHeard() { ++fixes_heard_; }
   void fixUsed(double stamp) { last_fix_ = std::max(last_fix_, stamp); }
   void odometryUsed();
+  /// An increment came that is stamped so far ahead of the clock that it cannot be used [s].
+  void odometryAhead(double seconds);
   /// A GPS position so far off the pose was refused [m].
   void gpsRefused(double metres);
   /// One was taken, or the pose is another.

@@ -19,7 +19,9 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("autosave", s.autosave, air_ground_common::ros_utils::kAutosave);
   v("queue_size", s.queue_size, {1, 10000}, "",
     "aerial clouds that may wait for a refinement to end; the oldest are dropped, and counted");
-  v("min_period", s.min_period, {0, 3600}, "s", "wall time from the end of a refinement to the next: bounds the load");
+  v("min_period", s.min_period, {0, 3600}, "s",
+    "wall time from the end of a refinement to the next, of dense clouds and of what else changes each: bounds the "
+    "load");
   v("chain_file", s.chain_file, "instead of `chain` (below), a file that holds the same map");
   v.others("chain");
 

@@ -1,7 +1,5 @@
 #include "refine_worker.h"
 
-#include <sensor_msgs/PointCloud2.h>
-
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -55,11 +53,7 @@ RefineWorker::RefineWorker(const NodeSettings& settings, IcpChain chain, Alignme
       output_(output),
       health_(health),
       refiner_(std::move(chain), settings.refiner),
-      map_(settings.map) {
-  map_publisher_ = ros::NodeHandle().advertise<sensor_msgs::PointCloud2>(
-      "augmented_map", 1,
-      [this](const ros::SingleSubscriberPublisher&) { post([](Inbox& inbox) { inbox.map_subscriber = true; }); }, {},
-      {}, true);
+      map_(settings.map, settings.ground_map_frame, settings.map_period, health) {
   thread_ = std::thread([this] { work(); });
 }
 
@@ -150,72 +144,62 @@ void RefineWorker::setGroundMapId(std::uint32_t map_id) {
   maps_.ground = map_id;
 }
 
-std::pair<std::vector<CloudPoint>, bool> RefineWorker::map() {
-  std::lock_guard<std::mutex> lock(map_mutex_);
-  return {map_.points(), map_.aligned()};
-}
-
 void RefineWorker::work() {
-  auto next = Clock::now();
-  bool pending = false;  // data came in since the last refinement
+  RefinePace pace(secondsOf(settings_.min_period));
   while (true) {
     Inbox inbox;
     {
       std::unique_lock<std::mutex> lock(mutex_);
       const auto ready = [this] { return stop_ || inbox_.any(); };
-      const bool publish = map_due_ && map_publisher_.getNumSubscribers() > 0;
-      if (pending || publish) {
-        wake_.wait_until(lock, pending ? next : map_time_, ready);
-      } else {
+      if (pace.pending())
+        wake_.wait_until(lock, pace.due(), ready);
+      else
         wake_.wait(lock, ready);
-      }
       if (stop_) return;
       std::swap(inbox, inbox_);
       inbox_.own_unit = inbox.own_unit;
     }
     try {
-      pending |= use(inbox);
-      publishMapWhenDue();
-      if (!pending || Clock::now() < next) {
+      const bool news = use(inbox);
+      pace.add(news, !inbox.aerial.empty());
+      if (!pace.pending() || Clock::now() < pace.due()) {
         refiner_.prepareGround();
         continue;
       }
-      pending = false;
       refine();
-      next = Clock::now() + secondsOf(settings_.min_period);
+      pace.refined(Clock::now());
     } catch (const std::exception& e) {
       health_.count(std::string("failed refinements: ") + e.what());
-      pending = false;
+      pace.drop();
     }
   }
 }
 
 // True when there is something new to refine.
 bool RefineWorker::use(Inbox& inbox) {
-  std::lock_guard<std::mutex> lock(map_mutex_);
   if (inbox.reset || inbox.new_map) {
     refiner_.startMap();
-    map_.clearAerial();
+    map_.post([](auto& shown) { shown.map.clearAerial(); }, false);
     own_clouds_.clear();
     corrections_.clear();
     T_metric_visual_.reset();
   }
   if (inbox.reset || inbox.new_ground) {
     refiner_.startGround();
-    map_.clearGround();
+    map_.post([](auto& shown) { shown.map.clearGround(); }, false);
   }
   if (inbox.forgets()) dropMapPose();
   if (inbox.aerial_revised) {
     refiner_.forgetAerial();
-    map_.clearAerial();
+    map_.post([](auto& shown) { shown.map.clearAerial(); }, true);
     own_clouds_.clear();
     corrections_.clear();
-    map_due_ |= map_.aligned();
   }
   if (inbox.ground_camera) refiner_.setGroundCamera(*inbox.ground_camera);
   if (inbox.ground) {
     refiner_.setGround(groundPositions(*inbox.ground));
-    map_.setGround(std::move(*inbox.ground));
+    map_.post([points = std::move(*inbox.ground)](auto& shown) mutable { shown.map.setGround(std::move(points)); },
+              true);
   }
   if (inbox.ground_moved && !inbox.new_ground) refiner_.groundMoved(*inbox.ground_moved);
   own_unit_ = inbox.own_unit;
@@ -238,7 +222,6 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.views_withdrawn) refiner_.withdrawViews();
   if (inbox.views) useViews(*inbox.views);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
-  map_due_ |= inbox.ground && map_.aligned();
   // While tracking, the next aerial cloud is soon enough; but where the ground map was corrected, a MAV that hovers or
   // has landed sends none.
   const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && (!refiner_.tracking() || refiner_.unproven());
@@ -247,12 +230,12 @@ bool RefineWorker::use(Inbox& inbox) {
   return lost || moved || inbox.refine || !inbox.aerial.empty() || inbox.corrections || inbox.manual || wanted;
 }
 
-// map_mutex_ held, as for the next.
 void RefineWorker::addAerial(std::int64_t stamp, std::vector<CloudPoint> points) {
   if (own_unit_ && !T_metric_visual_) return;  // once there is a coarse alignment
   if (own_unit_) moveBy(*T_metric_visual_, &points);
   refiner_.addAerial(stamp, positionsOf(points));
-  map_.addAerial(stamp, std::move(points));
+  map_.post([stamp, points = std::move(points)](auto& shown) mutable { shown.map.addAerial(stamp, std::move(points)); },
+            false);
 }
 
 void RefineWorker::correct(const CloudCorrections& corrections) {
@@ -263,11 +246,13 @@ void RefineWorker::correct(const CloudCorrections& corrections) {
     for (auto& [stamp, S] : since)
       if (S) S = compose(compose(*T_metric_visual_, *S), inverse(*T_metric_visual_));
   refiner_.correctAerial(since);
-  map_.correctAerial(since);
   if (const auto tracked = trackedInMavMap()) output_.correct(*tracked);
-  if (!map_.aligned()) return;
-  if (refiner_.tracking()) map_.align(refiner_.refined());
-  map_due_ = true;
+  map_.post(
+      [since = std::move(since), refined = refiner_.refined()](auto& shown) {
+        shown.map.correctAerial(since);
+        if (shown.map.aligned() && refined) shown.map.align(refined);
+      },
+      true);
 }
 
 std::optional<Similarity> RefineWorker::trackedInMavMap() const {
@@ -282,7 +267,7 @@ void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
   if (!other || refiner_.tracking()) return;
   T_metric_visual_ = now;
   refiner_.startMap();
-  map_.clearAerial();
+  map_.post([](auto& shown) { shown.map.clearAerial(); }, false);
   for (const auto& [stamp, points] : own_clouds_.clouds()) addAerial(stamp, points);
 }
 
@@ -331,34 +316,20 @@ void RefineWorker::refine() {
     }
     output_.publish(said, maps_, trackedInMavMap(), own_unit_);
   }
-  {
-    std::lock_guard<std::mutex> lock(map_mutex_);
-    if (out.status == RefineStatus::kConverged) {
-      map_.align(out.T_ground_map_mav_map);
-      map_stamp_ = ros::Time().fromNSec(static_cast<std::uint64_t>(out.stamp));
-      map_due_ = true;
-    } else if (!refiner_.tracking()) {
-      dropMapPose();
-    }
-  }
-  publishMapWhenDue();
+  if (out.status == RefineStatus::kConverged)
+    map_.post(
+        [T = out.T_ground_map_mav_map, stamp = out.stamp](auto& shown) {
+          shown.map.align(T);
+          shown.stamp = ros::Time().fromNSec(static_cast<std::uint64_t>(stamp));
+        },
+        true);
+  else if (!refiner_.tracking())
+    dropMapPose();
 }
 
-// map_mutex_ held. The map that stays is the ground robot's alone.
+// The map that stays is the ground robot's alone.
 void RefineWorker::dropMapPose() {
-  map_due_ |= map_.aligned();
-  map_.align(std::nullopt);
-}
-
-// At most once a period, and once more after the last refinement. Without subscribers it stays due.
-void RefineWorker::publishMapWhenDue() {
-  if (!map_due_ || Clock::now() < map_time_ || map_publisher_.getNumSubscribers() == 0) return;
-  std_msgs::Header header;
-  header.stamp = map_stamp_;
-  header.frame_id = settings_.ground_map_frame;
-  map_publisher_.publish(ros_utils::toMsg(map().first, ros_utils::CloudFields::kXyzRgbSource, header));
-  map_due_ = false;
-  map_time_ = Clock::now() + secondsOf(settings_.map_period);
+  map_.post([](auto& shown) { shown.map.align(std::nullopt); }, true);
 }
 
 }  // namespace icp_refine

@@ -1,4 +1,4 @@
-// The thread that refines, and makes the augmented map: callbacks hand it what has come and go on.
+// The thread that refines: callbacks hand it what has come and go on.
 #pragma once
 
 #include <ros/ros.h>
@@ -17,6 +17,8 @@
 #include "air_ground_common/ros/conversions.h"
 #include "alignment_input.h"
 #include "alignment_output.h"
+#include "map_thread.h"
+#include "refine_pace.h"
 
 namespace icp_refine {
 
@@ -32,7 +34,7 @@ struct AerialCloud {
 struct Inbox {
   bool aerial_revised = false;       ///< see reviseMap()
   std::optional<bool> ground_moved;  ///< see reviseGround(): whether the newest ground map shows it
-  bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
+  bool reset = false, new_map = false, new_ground = false, refine = false;
   std::optional<std::vector<CloudPoint>> ground;
   std::optional<double> ground_camera;  ///< greatest z of the ground robot's camera in its map [m]
   std::deque<AerialCloud> aerial;
@@ -45,8 +47,8 @@ struct Inbox {
   std::optional<double> scale_deviation;  ///< relative, as the odometry states it
   std::optional<Vertical> aerial_vertical, ground_vertical;
   bool any() const {
-    return forgets() || aerial_revised || ground_moved || views_withdrawn || coarse_withdrawn || refine ||
-           map_subscriber || ground || !aerial.empty() || corrections || coarse || views || manual;
+    return forgets() || aerial_revised || ground_moved || views_withdrawn || coarse_withdrawn || refine || ground ||
+           !aerial.empty() || corrections || coarse || views || manual;
   }
   void startMap(bool in_own_unit);
   /// The MAV's calibration has changed: what relates both maps stays about right, the clouds so far do not.
@@ -74,8 +76,8 @@ class RefineWorker {
   void setMapId(std::uint32_t map_id);
   /// The same of the ground robot's.
   void setGroundMapId(std::uint32_t map_id);
-  /// A copy of the augmented map; second: whether the aerial points are in it.
-  std::pair<std::vector<CloudPoint>, bool> map();
+  /// Of what has come and been worked on so far: see MapThread::points().
+  std::pair<std::vector<CloudPoint>, bool> map() { return map_.points(); }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -92,7 +94,6 @@ class RefineWorker {
   void useViews(KnownAlignment views);
   void refine();
   void dropMapPose();
-  void publishMapWhenDue();
 
   const NodeSettings& settings_;
   AlignmentOutput& output_;
@@ -110,12 +111,7 @@ class RefineWorker {
   bool stop_ = false;
   MapIds maps_;
 
-  std::mutex map_mutex_;
-  AugmentedMap map_;
-  bool map_due_ = false;  // worker alone, as the next two
-  Clock::time_point map_time_;
-  ros::Time map_stamp_;
-  ros::Publisher map_publisher_;
+  MapThread map_;
   std::thread thread_;
 };
 

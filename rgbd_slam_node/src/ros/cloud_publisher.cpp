@@ -3,6 +3,7 @@
 #include <chrono>
 #include <utility>
 
+#include "air_ground_common/niceness.h"
 #include "rgbd_slam/hidden_space.h"
 #include "rgbd_slam/passed_space.h"
 
@@ -65,6 +66,8 @@ void CloudPublisher::request(std::uint32_t map_id, const ros::Time& stamp, std::
 }
 
 void CloudPublisher::work() {
+  constexpr int kNicenessWithin = 10;  // of the node's threads: poses go first
+  air_ground_common::giveWayWithin(kNicenessWithin);
   GroundCloud ground(settings_);            // of fused_map
   HiddenSpace hidden;                       // likewise
   PassedSpace passed(settings_.max_range);  // likewise

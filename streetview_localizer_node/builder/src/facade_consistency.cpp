@@ -4,21 +4,20 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <list>
-#include <mutex>
 #include <opencv2/imgproc.hpp>
-#include <optional>
-#include <unordered_map>
 #include <utility>
 
 #include "streetview_localizer/panorama_views.h"
 #include "streetview_localizer/plane_index.h"
+#include "streetview_localizer/recent_cache.h"
 
 namespace streetview_localizer {
 namespace {
 
 constexpr int kSide = 12;                                   // samples along a patch
 constexpr std::size_t kKeptBytes = std::size_t{512} << 20;  // of images in memory
+
+std::size_t bytesOf(const cv::Mat& image) { return image.total() * image.elemSize(); }
 
 using Patch = std::array<float, kSide * kSide>;
 
@@ -47,47 +46,6 @@ bool normalise(Patch* patch) {
   return true;
 }
 
-/// As many images as fit, the last used ones. Thread-safe.
-class ImageCache {
- public:
-  std::optional<cv::Mat> find(int index) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    return findLocked(index);
-  }
-
-  /// Returns the image that is kept: this one, or where another thread was faster that thread's.
-  cv::Mat keep(int index, const cv::Mat& image) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (const auto found = findLocked(index)) return *found;
-    images_.emplace_front(index, image);
-    place_of_[index] = images_.begin();
-    bytes_ += bytesOf(image);
-    while (bytes_ > kKeptBytes) {
-      bytes_ -= bytesOf(images_.back().second);
-      place_of_.erase(images_.back().first);
-      images_.pop_back();
-    }
-    return image;
-  }
-
- private:
-  using Images = std::list<std::pair<int, cv::Mat>>;
-
-  static std::size_t bytesOf(const cv::Mat& image) { return image.total() * image.elemSize(); }
-
-  std::optional<cv::Mat> findLocked(int index) {
-    const auto found = place_of_.find(index);
-    if (found == place_of_.end()) return std::nullopt;
-    images_.splice(images_.begin(), images_, found->second);
-    return found->second->second;
-  }
-
-  std::mutex mutex_;
-  Images images_;  // the last used first
-  std::unordered_map<int, Images::iterator> place_of_;
-  std::size_t bytes_ = 0;
-};
-
 /// In plan, those that may be asked.
 PlaneIndex usableOf(const std::vector<ConsistencyImage>& images) {
   std::vector<std::pair<Eigen::Vector2d, int>> places;
@@ -104,18 +62,20 @@ struct FacadeConsistency::Impl {
   std::function<cv::Mat(int)> load;
   ConsistencySettings settings;
   PlaneIndex usable;
-  mutable ImageCache cache;
+  mutable RecentCache<cv::Mat> cache{kKeptBytes, bytesOf};
 
   cv::Mat image(int index) const {
-    if (const auto kept = cache.find(index)) return *kept;
-    cv::Mat grey = load(index);
+    return cache.get(index, [&] { return reduced(load(index)); });
+  }
+
+  cv::Mat reduced(cv::Mat grey) const {
     if (!grey.empty() && grey.channels() == 3) cv::cvtColor(grey, grey, cv::COLOR_BGR2GRAY);
     if (grey.cols > settings.image_width) {
       const double factor = double(settings.image_width) / grey.cols;
       cv::resize(grey, grey, {settings.image_width, static_cast<int>(std::lround(grey.rows * factor))}, 0, 0,
                  cv::INTER_AREA);
     }
-    return cache.keep(index, grey);
+    return grey;
   }
 
   // Samples a square of side x side points around `centre`; false where a photograph does not show all of it.
@@ -202,7 +162,7 @@ struct FacadeConsistency::Impl {
 FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<ConsistencyImage> images,
                                      std::function<cv::Mat(int)> load, const ConsistencySettings& settings) {
   PlaneIndex usable = usableOf(images);
-  impl_.reset(new Impl{model, std::move(images), std::move(load), settings, std::move(usable), {}});
+  impl_.reset(new Impl{model, std::move(images), std::move(load), settings, std::move(usable)});
 }
 FacadeConsistency::~FacadeConsistency() = default;
 

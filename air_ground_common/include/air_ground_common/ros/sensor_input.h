@@ -19,6 +19,7 @@
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/imu_combiner.h"
 #include "air_ground_common/packet_spreader.h"
+#include "air_ground_common/range_end.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/text.h"
 
@@ -91,8 +92,9 @@ inline std::string cameraFrame(const std::string& configured, const Calibration&
                                                                : calibration.info.header.frame_id);
 }
 
-/// Samples of an IMU: refuses what is not finite, not measured or beyond any sensor's range, judges the unit by the
-/// mean acceleration of the last samples, and spreads packets of samples that were stamped on arrival. Thread-safe.
+/// Samples of an IMU: refuses what is not finite, not measured or beyond any sensor's range, counts those at the end of
+/// their sensor's, judges the unit by the mean acceleration of the last samples, and spreads packets of samples that
+/// were stamped on arrival. Thread-safe.
 class ImuInput {
  public:
   using Sample = ImuCombiner::Sample;  ///< in the IMU's frame: stamp [s], angular velocity [rad/s], force [m/s^2]
@@ -153,13 +155,29 @@ class ImuInput {
   };
 
   bool turnRate(const Eigen::Vector3d& reading) {
-    return admit(reading, kMaxAngularVelocity,
-                 "IMU samples refused: turns faster than any gyro can read (spoilt, or not in rad/s?)");
+    if (!admit(reading, kMaxAngularVelocity,
+               "IMU samples refused: turns faster than any gyro can read (spoilt, or not in rad/s?)"))
+      return false;
+    countClipped(reading, rate_end_, "turn rates", "rad/s", "rotations err");
+    return true;
   }
 
   bool acceleration(const Eigen::Vector3d& reading) {
-    return admit(reading, kMaxSpecificForce,
-                 "IMU samples refused: accelerations beyond what a sensor can read (spoilt, or not in m/s^2?)");
+    if (!admit(reading, kMaxSpecificForce,
+               "IMU samples refused: accelerations beyond what a sensor can read (spoilt, or not in m/s^2?)"))
+      return false;
+    countClipped(reading, force_end_, "accelerations", "m/s^2", "scale and vertical err");
+    return true;
+  }
+
+  void countClipped(const Eigen::Vector3d& reading, RangeEnd& end, const char* what, const char* unit,
+                    const char* harm) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!end.reached(reading)) return;
+    health_.count(
+        formatted("%s cut off at %.3g %s, the end of the sensor's range: %s. Set a wider range in its driver, "
+                  "or damp its mount",
+                  what, end.largest(), unit, harm));
   }
 
   bool admit(const Eigen::Vector3d& reading, double limit, const char* beyond) {
@@ -209,6 +227,7 @@ class ImuInput {
   ImuCombiner combiner_;
   PacketSpreader<Sample> spreader_;
   PacketSpreader<Reading> gyro_spreader_, force_spreader_;  // where they are apart
+  RangeEnd rate_end_{2.0}, force_end_{18.0};                // no gyro's below 125 deg/s, no accelerometer's below 2 g
   double sum_ = 0;
   int samples_ = 0;
   std::string problem_;

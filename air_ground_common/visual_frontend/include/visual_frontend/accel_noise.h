@@ -12,7 +12,8 @@ namespace visual_frontend {
 /// does not. The weaker of two bands counts (means around 15 and 25 Hz, fifth differences, so motion of up to 5 Hz is
 /// some thousandths of what is measured): real motion fills the lower one, vibration that is sampled well the upper
 /// one. Where the density grows on towards the Nyquist frequency, by a factor, it is taken to fall by its square
-/// towards zero; else it is taken to be white.
+/// towards zero; else it is taken to be white. Readings that a driver interpolates linearly at the stamps of a faster
+/// gyro (RealSense) are noticed, and what that takes from the bands is given back.
 class AccelNoise {
  public:
   /// Vibration is folded down from here on; an IMU of a multicopter that is sampled well has less [m/s^2/sqrt(Hz)].
@@ -42,11 +43,23 @@ class AccelNoise {
     int spacing = 0;             ///< means from one value to the next
     Power power;
   };
+  /// Of an accelerometer whose readings a driver interpolates at the stamps of a faster gyro.
+  struct Knots {
+    void add(double stamp, const Eigen::Vector3d& value);
+    double apart() const;  ///< [samples]; 1 where each sample is a reading
+    double lines = 0;      ///< share of samples that lie on a line with their neighbours
+    double ends = 0;       ///< share after which such a line ends
+    bool on_line = false;
+    long readings = 0;
+    double last_stamp = 0;
+    Eigen::Vector3d last_value = Eigen::Vector3d::Zero(), last_slope = Eigen::Vector3d::Zero();
+  };
   void addMean(const Eigen::Vector3d& mean);
   void addRaw(const Eigen::Vector3d& specific_force, double interval);
   void restart(double stamp);
 
   std::vector<Band> bands_;
+  Knots knots_;
   Power nyquist_;                                       ///< of the samples as they come
   std::deque<Eigen::Vector3d> means_, samples_;         ///< of kStep each; the last ones
   long count_ = 0;                                      ///< of means so far
