@@ -15,7 +15,7 @@ import numpy as np
 import rosbag
 import rosunit
 from geometry_msgs.msg import PointStamped
-from sensor_msgs.msg import CameraInfo, FluidPressure
+from sensor_msgs.msg import CameraInfo, FluidPressure, Image
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
@@ -132,6 +132,84 @@ class BagChoices(unittest.TestCase):
             output = self.check()[1]
             self.assertIn(text, output)
             self.assertEqual('is flat' in output, 'is flat' in text, output)
+
+    def test_event_and_thermal_cameras_are_the_last_choice(self):
+        """And of several images that are alike those with more pixels; a stream that is no image after all others."""
+        for odd, other in (('/davis/left/image_raw', '/visensor/left/image_raw'), ('/stereo/davis_left/image_raw', '/stereo/frame_left/image_raw'), ('/boson_thermal/image_raw', '/visual/image_raw')):
+            recording = self.recording(('base_link', 'odd'), ('base_link', 'cam'), ('base_link', 'imu')).camera(odd, 'mono16', 'odd').camera(other, 'mono8', 'cam')
+            recording.imu(odd.replace('image_raw', 'imu'), 'imu').imu('/stim/imu', 'imu')
+            self.assert_arguments(self.check()[2], mav_image=other, mav_imu='/stim/imu')
+        self.recording(('base_link', 'cam')).camera('/a/image_raw', 'mono8', 'cam', pixels=(32, 24)).camera('/b/image_raw', 'mono8', 'cam')
+        self.assert_arguments(self.check()[2], mav_image='/b/image_raw')
+        recording = self.recording(('base_link', 'cam')).camera('/z/images', 'mono8', 'cam')
+
+        def stream(t):
+            message = Image(data=b'12345')
+            message.header.stamp, message.header.frame_id = messages.stamp(t), 'cam'
+            return message
+
+        recording.add('/a/camera_h264_stream_raw', 10, stream)
+        self.assert_arguments(self.check()[2], mav_image='/z/images')
+
+    def test_images_of_16_bits_that_nothing_calls_depth(self):
+        """A thermal camera's, whatever is beside it, or those of a camera alone."""
+        for topic, beside in (('/boson/image_raw', False), ('/boson/image_raw', True), ('/eye/image_raw', False)):
+            recording = self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera(topic, '16UC1', 'cam').imu('/imu', 'imu')
+            if beside:
+                recording.camera('/visual/image_raw', 'mono8', 'cam')
+            self.assert_arguments(self.check()[2], mav_image='/visual/image_raw' if beside else topic, ground_depth=None)
+        self.recording(('base_link', 'cam')).camera('/oak/stereo/image_raw', '16UC1', 'cam').camera('/oak/rgb/image_raw', 'rgb8', 'cam')
+        self.assert_arguments(self.check()[2], ground_depth='/oak/stereo/image_raw', ground_image='/oak/rgb/image_raw')
+
+    def test_a_robots_number_tells_nothing(self):
+        """/robot1 has the depth camera, /robot2, on a body of its own, flies; a lone /robot does not."""
+        recording = self.recording(*((f'{robot}/base_link', f'{robot}/{sensor}') for robot in ('robot1', 'robot2') for sensor in ('cam', 'imu')))
+        recording.camera('/robot1/color/image_raw', 'rgb8', 'robot1/cam').camera('/robot1/depth/image_raw', '16UC1', 'robot1/cam').imu('/robot1/imu', 'robot1/imu')
+        recording.camera('/robot2/image_raw', 'mono8', 'robot2/cam').imu('/robot2/imu', 'robot2/imu')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_image='/robot2/image_raw', mav_imu='/robot2/imu', ground_image='/robot1/color/image_raw', ground_imu='/robot1/imu')
+        self.assertNotIn('nothing says so', output)
+        recording = self.recording(('base', 'eye'), ('body', 'cam')).camera('/head/color/image_raw', 'rgb8', 'eye').camera('/head/depth/image_raw', '16UC1', 'eye')
+        recording.camera('/robot/image_raw', 'mono8', 'cam')
+        status, output, command = self.check()
+        self.assert_arguments(command, mav_image=None)
+        self.assertNotIn('the bag is of one robot', output)
+        self.assertIn("no camera for the MAV's: where it is one of those below, --map TOPIC:=mav_image", output)
+
+    def test_what_else_it_might_have_been(self):
+        recording = self.recording(('base_link', 'cam')).camera('/husky/left/image_raw', 'mono8', 'cam').camera('/husky/right/image_raw', 'mono8', 'cam')
+        output = self.check()[1]
+        self.assertIn("guess   no depth images, without which there is no ground robot: taken for the MAV's", output)
+        self.assertIn('guess   other images: /husky/right/image_raw: --map TOPIC:=mav_image takes one of them instead', output)
+        self.assertNotIn('no depth images', self.check('--only', 'mav')[1])
+        recording.camera('/drone/image_raw', 'mono8', 'cam')
+        self.assertNotIn('no depth images', self.check()[1])
+
+    def test_reference_poses_of_nobody(self):
+        """Of two robots, where nothing says whose."""
+        recording = self.recording(('base', 'eye'), ('body', 'cam')).camera('/camera/color/image_raw', 'rgb8', 'eye').camera('/camera/depth/image_raw', '16UC1', 'eye')
+        recording.camera('/uav/image_raw', 'mono8', 'cam').poses('/gt')
+        output, command = self.check()[1:]
+        self.assert_arguments(command, mav_truth=None, ground_truth=None)
+        self.assertIn('the bag has /gt of this type: set mav_truth:=', output)
+        recording.poses('/vicon/uav')
+        self.assert_arguments(self.check()[2], mav_truth='/vicon/uav', ground_truth=None)
+
+    def test_none_of_what_the_bag_holds(self):
+        """--map none:=STANDARD, for IMUs and reference poses."""
+        self.flight().poses('/vicon')
+        status, output, command = self.check('--map', 'none:=mav_imu', '--map', 'mav_truth:=/none')
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_imu=None, mav_truth=None, mav_use_imu='false')
+        self.assertNotIn('/mav/imu/data', output)
+        recording = self.recording(('ground_base_link', 'eye'), ('ground_base_link', 'imu')).camera('/ground/rgb/image_raw', 'rgb8', 'eye').camera('/ground/depth/image_raw', '16UC1', 'eye')
+        recording.imu('/ground/imu/data', 'imu')
+        self.assert_arguments(self.check('--map', 'none:=ground_imu')[2], ground_imu='none')
+        said = io.StringIO()
+        with contextlib.redirect_stderr(said), self.assertRaises(SystemExit):
+            self.check('--map', 'none:=mav_image')
+        self.assertIn('--only leaves out a robot', said.getvalue())
 
     def test_rules_of_map_as_people_write_them(self):
         """STANDARD by its launch argument, without slash, or on the left, as launch files have it; a name that is none of these is named before the bag is read."""

@@ -170,9 +170,10 @@ class BagLayouts(unittest.TestCase):
         status, output, command = self.check()
         self.assertEqual(status, 1)
         self.assert_arguments(command, mav_image='/snappy_cam/stereo_l', mav_imu='/imu/imu', mav_base_frame='imu', mav_truth='/groundtruth/odometry')
-        self.assertIn('publish_calibration --transform "imu l X Y Z', output)
+        self.assertIn('publish_calibration --camera-info FILE.yaml --transform "imu l X Y Z', output)
+        self.assertIn(f'import_kalibr CALIBRATION --bag {self.path()} --image /snappy_cam/stereo_l --imu-topic /imu/imu ', output)
         self.assertIn('image:=/snappy_cam/stereo_l camera_info:=/mav/camera/camera_info', output)
-        self.assertEqual(output.count('ERROR'), 2, output)
+        self.assertEqual(output.count('ERROR'), 1, output)
 
     def test_a_robots_own_odometry_is_no_truth(self):
         for topic, offered in (('/robot/odom', False), ('/wheels/odometry', False), ('/vio/pose', False), ('/tracker/pose', True)):
@@ -314,10 +315,11 @@ class BagLayouts(unittest.TestCase):
             status, output, command = self.check()
             self.assertEqual(status, 0, output)
             self.assertTrue(self.warned(output, 'taken for level, looking ahead'), output)
-            self.assert_arguments(command, ground_base_frame=None, ground_imu='/camera/imu' if mountings else 'none')
+            self.assert_arguments(command, ground_base_frame=None, ground_imu='/camera/imu')
             facts = bag_reader.BagFacts(self.path())
             edges = self.published(output)
-            self.assertEqual([edge[:2] for edge in edges], [('ground_base_link', (mountings or [('camera_color_optical_frame',)])[0][0])])
+            self.assertEqual([edge[:2] for edge in edges], [('ground_base_link', (mountings or [('camera_color_optical_frame',)])[0][0])]
+                             + ([] if mountings else [('camera_color_optical_frame', 'camera_imu_optical_frame')]))
             facts.add_static(messages.static_transforms(edges, 100))
             np.testing.assert_allclose(facts.static_transform('ground_base_link', 'camera_color_optical_frame'), geometry.pose(geometry.R_BODY_FORWARD_CAMERA), atol=1e-9)
         self.assertIn('--transform "ground_base_link camera_color_optical_frame 0 0 0 -0.5 0.5 -0.5 0.5"', self.layout_without_tf())
@@ -384,6 +386,7 @@ class BagLayouts(unittest.TestCase):
         self.found('set it in the driver', late=None)
         self.found('two clocks', late=50.0)
         self.found('in degrees', imu=dict(gyro=(8.0, 5.0, 12.0)))
+        self.found('are cut off at 39.2 m/s^2', level='WARNING', imu=dict(accel=(39.2266, 0, 9.81)))
         self.found('are not measured', imu=dict(measured=False))
         self.found('an attitude alone helps no node', level='WARNING', imu=dict(gyro=(0, 0, 0), accel=(0, 0, 0)))
         self.assert_arguments(self.check()[2], mav_use_imu='false')

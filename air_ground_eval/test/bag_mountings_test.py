@@ -55,6 +55,81 @@ class BagMountings(unittest.TestCase):
         self.assertEqual(status, 0, output)
         self.assert_arguments(command, ground_image='/camera/color/image_raw', mav_image='/camera/infra1/image_rect_raw', mav_imu='/camera/imu', mav_vo=None)
 
+    def ground_alone(self, recording, *hidden):
+        """The bag is of the ground robot, whose other cameras are no MAV's."""
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_image=None, mav_vo='false')
+        self.assertIn('the bag is of one robot', output)
+        for topic in hidden:
+            self.assertTrue(any(line.startswith('guess   other images: ') and topic in line for line in output.splitlines()), output)
+        return command
+
+    def test_a_camera_on_a_limb_is_no_mavs(self):
+        """A hand that /tf moves below a root that odom is above, or, as Spot has it, below."""
+        for root in (('odom', 'base_link', moving), ('base_link', 'odom', moving)):
+            recording = self.robots(('base_link', 'eye'), ('hand', 'grip')).ground('/head').camera('/hand/color/image_raw', 'rgb8', 'grip')
+            recording.transforms('/tf', root, ('base_link', 'hand', moving)).imu('/imu', 'base_link')
+            self.assert_arguments(self.ground_alone(recording, '/hand/color/image_raw'), ground_image='/head/rgb/image_raw', ground_imu='/imu')
+        for parent in ('map', 'world'):  # what both robots move in is no body
+            recording = self.robots(('base', 'eye'), ('body', 'grip')).ground('/head').camera('/other/image_raw', 'mono8', 'grip')
+            recording.transforms('/tf', (parent, 'base', moving), (parent, 'body', moving), ('earth', parent, moving))
+            output = self.check()[1]
+            self.assertIn('guess   mav_image: /other/image_raw', output)
+            self.assertNotIn('nothing says so', output)
+
+    def test_images_of_a_lidar_are_no_mavs(self):
+        recording = self.robots(('base_link', 'eye')).ground().camera('/ouster/nearir_image', 'mono16', 'lidar', info=False)
+        self.assertNotIn('ouster', ' '.join(self.ground_alone(recording).values()))
+
+    def test_depth_goes_with_the_camera_beside_it(self):
+        """Not with another that its name calls a colour camera, and the front one before the others."""
+        recording = Robots(self.path())
+        places = {'back': -0.4, 'frontleft': 0.4}
+        recording.transforms('/tf_static', *(edge for name, x in places.items() for edge in (('body', name, geometry.pose(AHEAD[:3, :3], (x, 0, 0))), (name, f'{name}_fisheye'))), ('body', 'hand'))
+        for name in places:
+            recording.camera(f'/spot/camera/{name}/image', 'mono8', f'{name}_fisheye').camera(f'/spot/depth/{name}/image', '16UC1', name)
+        recording.camera('/spot/camera/hand_color/image', 'rgb8', 'hand')
+        command = self.ground_alone(recording, '/spot/camera/hand_color/image')
+        self.assert_arguments(command, ground_image='/spot/camera/frontleft/image', ground_depth='/spot/depth/frontleft/image')
+        self.assert_arguments(self.check('--map', '/spot/depth/back/image:=ground_depth')[2], ground_image='/spot/camera/back/image')
+
+    def test_where_nothing_names_a_flyer(self):
+        """A second camera may be on the ground robot; that it is not is said by names, by its IMU, or by a body of its own."""
+        for topic, frame, edges, imu, said in (('/usb_cam/image_raw', 'cam', (), None, True), ('/uav/image_raw', 'cam', (), None, False),
+                                               ('/usb_cam/image_raw', 'cam', (('fcu', 'cam'),), ('/mavros/imu/data', 'fcu'), False),
+                                               ('/rear/image_raw', 'cam', (('rear_link', 'cam'),), None, True), ('/eye/image_raw', 'cam', (('mav_base_link', 'cam'),), None, False)):
+            recording = self.robots(('base_link', 'eye'), *edges).ground().camera(topic, 'mono8', frame)
+            if imu:
+                recording.imu(*imu)
+            _, output, command = self.check()
+            self.assert_arguments(command, mav_image=topic, mav_imu=imu and imu[0])
+            self.assertEqual(f"guess   {topic} is taken for the MAV's, though nothing says so" in output, said, output)
+
+    def test_an_imu_on_the_other_robots_body(self):
+        """By transforms that /tf changes, and by what merge_bags wrote before frames."""
+        recording = self.robots(('base_link', 'pan_mount'), ('head', 'eye')).ground('/head').camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu', 'base_link').imu('/imu0', 'imu4', rate=100)
+        recording.transforms('/tf', ('odom', 'base_link', moving), ('base_link', 'head', moving))
+        self.assert_arguments(self.check()[2], mav_imu='/imu0', ground_imu='none')  # its head moves
+        recording = self.robots().ground().camera('/bebop/image_raw', 'rgb8', 'cam').imu('/imu/data', 'ground_base_link').transforms('/tf', ('ground_odom', 'ground_base_link', moving))
+        self.assert_arguments(self.check()[2], mav_imu=None, mav_use_imu='false', ground_imu='/imu/data', ground_base_frame=None)
+
+    def test_the_imu_of_a_body_without_transforms_of_the_camera(self):
+        """As MAVROS and many bases have it, in base_link: the IMU's own frame is the body."""
+        recording = self.robots().ground(frame='camera_optical_frame').imu('/imu/data', 'base_link').transforms('/tf', ('odom', 'base_link', moving))
+        command = self.ground_alone(recording)
+        self.assert_arguments(command, ground_imu='/imu/data', ground_base_frame='base_link')
+        self.assertEqual([edge[:2] for edge in self.published(self.check()[1])], [('base_link', 'camera_optical_frame')])
+
+    def test_a_calibration_one_folder_up(self):
+        """As uHumans2 has it, where its frame and size are the images'."""
+        for frame, pixels, known in (('eye', (64, 48), True), ('other', (64, 48), False), ('eye', (80, 48), False)):
+            recording = self.robots(('base', 'eye')).camera('/tesse/left/rgb/image_raw', 'rgb8', 'eye', info_topic='/tesse/left/camera_info', info_frame=frame, size=pixels)
+            recording.camera('/tesse/depth/mono/image_raw', '32FC1', 'eye', info=False)
+            status, output, command = self.check()
+            self.assertEqual(status, 0 if known else 1, output)
+            self.assert_arguments(command, ground_camera_info='/tesse/left/camera_info' if known else None)
+
     def test_an_image_with_a_calibration_before_one_without(self):
         recording = self.robots(('base_link', 'cam'), ('base_link', 'imu')).imu('/mavros/imu/data', 'imu')
         recording.camera('/apriltag/tag_detections_image', 'mono8', 'cam', info=False).camera('/camera/image_color', 'rgb8', 'cam')

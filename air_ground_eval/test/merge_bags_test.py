@@ -2,6 +2,7 @@
 """Two robots' bags with the same names in both become one that check_bag finds nothing wrong with."""
 import os
 import resource
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,10 +16,12 @@ import rostest
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CompressedImage
 
-SCRIPTS = os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts')
-sys.path.insert(0, SCRIPTS)
+HERE = os.path.dirname(os.path.realpath(__file__))
+SCRIPTS = os.path.join(HERE, '..', 'scripts')
+sys.path[:0] = [HERE, SCRIPTS]
 from air_ground_eval import bag_check, bag_guess, bag_merge, bag_reader, geometry, messages  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
+from bag_layouts_test import Recording  # noqa: E402
 
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
 LATER = 86400.0  # the ground robot drives the next day [s]
@@ -115,6 +118,71 @@ class MergeBags(unittest.TestCase):
             streams = bag_check.read(both, ['/mav/imu/data', '/ground/imu/data'])
             self.assertEqual(streams['/mav/imu/data'].stamps[0], streams['/ground/imu/data'].stamps[0])
             self.assertEqual(streams['/ground/imu/data'].frames, {'ground_imu'})
+
+    def told(self, folder, *arguments):
+        """(what merge_bags tells check_bag, check_bag's arguments of the last line) of two bags in a folder."""
+        both = os.path.join(folder, 'both.bag')
+        merged = run('merge_bags', *arguments, both, '--begin-together')
+        self.assertEqual(merged.returncode, 0, merged.stdout + merged.stderr)
+        words = shlex.split(merged.stdout.splitlines()[-1].partition('check_bag ')[2])
+        self.assertEqual(words[0], both)
+        check = run('check_bag', *words)
+        self.assertEqual(check.returncode, 0, check.stdout + check.stderr)
+        return words[1:], dict(word.split(':=') for word in shlex.split(check.stdout.splitlines()[-1]) if ':=' in word)
+
+    def assert_arguments(self, command, **expected):
+        self.assertEqual({name: command.get(name) for name in expected}, expected)
+
+    def test_whose_a_topic_is_where_nothing_says_so(self):
+        """A drone with a depth camera, IMU and reference, and a robot whose depth comes later by name and which has neither: check_bag alone takes the one for the other."""
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag'))
+            write(mav, 1000.0, True, 0.1)
+            with rosbag.Bag(mav, 'a') as bag:
+                for i in range(20):
+                    bag.write('/gt', messages.pose_stamped(np.eye(4), 1000 + 0.1 * i, 'world'), messages.stamp(1000 + 0.1 * i))
+            Recording(ground, [('chassis', 'eye')]).camera('/oak/rgb/image_raw', 'rgb8', 'eye').camera('/oak/stereo/image_raw', '16UC1', 'eye')
+            words, command = self.told(folder, mav, ground)
+            self.assertEqual(words[::2], ['--map'] * (len(words) // 2))
+            self.assertTrue({'/camera/image_raw:=mav_image', '/gt:=mav_truth'} <= set(words), words)
+            self.assert_arguments(command, mav_image='/camera/image_raw', mav_camera_info='/camera/camera_info', mav_imu='/imu/data', mav_truth='/gt', ground_image='/oak/rgb/image_raw',
+                                  ground_depth='/oak/stereo/image_raw', ground_imu='none', ground_base_frame='chassis', mav_base_frame='base_link')
+
+    def test_nothing_is_told_that_check_bag_guesses(self):
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag'))
+            write(mav, 1000.0, False, 0.1)
+            write(ground, 1000.0, True, 0.3)
+            words, command = self.told(folder, mav, ground)
+            self.assertEqual(words, [])
+            self.assert_arguments(command, mav_image=None, ground_image='/ground/camera/image_raw', ground_imu=None)
+
+    def test_topics_of_robots_whose_names_say_otherwise(self):
+        """merge_bags itself wrote /mav before them; an IMU that one robot has in a frame of both."""
+        with tempfile.TemporaryDirectory() as folder:
+            whole = os.path.join(folder, 'x.bag')
+            recording = Recording(whole, [('base_link', 'cam'), ('base_link', 'imu')]).camera('/jackal/color/image_raw', 'rgb8', 'cam').camera('/jackal/depth/image_raw', '16UC1', 'cam')
+            recording.imu('/jackal/imu', 'imu')
+            words, command = self.told(folder, f'{whole}@1-2', f'{whole}@2-')
+            self.assertEqual(words, [])
+            self.assert_arguments(command, mav_image='/mav/jackal/color/image_raw', mav_imu='/mav/jackal/imu', ground_image='/ground/jackal/color/image_raw', ground_imu='/ground/jackal/imu')
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag'))
+            Recording(mav, [('base_link', 'lens')]).camera('/bebop/image_raw', 'rgb8', 'lens')
+            Recording(ground).camera('/camera/color/image_raw', 'rgb8', 'eye').camera('/camera/depth/image_raw', '16UC1', 'eye').imu('/imu/data', 'base_link')
+            words, command = self.told(folder, mav, ground)
+            self.assertEqual(words, [])
+            self.assert_arguments(command, mav_imu=None, mav_use_imu='false', ground_imu='/imu/data', ground_base_frame=None)
+
+    def test_a_bag_without_images(self):
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag'))
+            Recording(mav).imu('/mavros/imu/data', 'fcu')
+            recording = Recording(ground, [('base', 'eye'), ('other', 'cam')]).camera('/camera/color/image_raw', 'rgb8', 'eye').camera('/camera/depth/image_raw', '16UC1', 'eye')
+            recording.camera('/rear/image_raw', 'mono8', 'cam')
+            words, command = self.told(folder, mav, ground)
+            self.assertEqual(words, ['--only', 'ground', '--map', 'none:=ground_imu'])
+            self.assert_arguments(command, mav_vo='false', ground_image='/camera/color/image_raw', ground_imu='none')
 
     def test_one_robot_records_compressed_images(self):
         """/camera/image_raw/compressed of the MAV beside /camera/image_raw of the ground robot: one camera's two transports, after a merge by names alone."""

@@ -14,6 +14,7 @@ DEPTH = {'16UC1': np.uint16, 'mono16': np.uint16, '32FC1': np.float32}  # encodi
 MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'radial_tangential', 'brown_conrady', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
           **dict.fromkeys(('', 'none', 'pinhole', 'perspective', 'inverse_brown_conrady'), 0)}  # as the nodes take them: how many coefficients each may have
 RECTIFIED = re.compile(r'(^|[/_])rect(ified)?([/_]|$)')  # as image_proc and the drivers name them
+UNDISTORTED = re.compile('undist')  # as others name them, of which the nodes take K and D
 TURNED = 0.3  # [deg]: of a stereo pair's rectification, from which on it matters beside an IMU
 FLAT = 5  # [of 255]: spread of the brightness, below which hardly any corner is found
 DOUBTFUL, TOO_FAR = 6, 12  # [m]: half of an image's depths beyond this are of few, and of no, RGB-D cameras
@@ -41,6 +42,9 @@ def check_info(topic, stream, image):
     if RECTIFIED.search(image) and turn > TURNED:
         result.append(Finding(WARNING, f'{topic}: rectification turned {image} by {turn:.1f} degrees (R), which the transform to {info.header.frame_id!r} does not tell: '
                               'better take the raw images'))
+    if UNDISTORTED.search(image.lower()) and info is raw and any(raw.D):
+        result.append(Finding(WARNING, f'{topic}: D is set, though {image} is undistorted by its name: if it is, publish its own calibration, without D, beside the replay under another name: '
+                              f'rosrun air_ground publish_calibration --camera-info FILE.yaml image:={image} camera_info:={topic}_undistorted'))
     if not (info.K[0] > 0 and info.K[4] > 0):
         result.append(Finding(ERROR, f'{topic}: fx = {info.K[0]:g}, fy = {info.K[4]:g}: the camera is not calibrated'))
     elif not (0.1 * info.width < info.K[2] < 0.9 * info.width and 0.1 * info.height < info.K[5] < 0.9 * info.height):
@@ -79,13 +83,13 @@ def known(depth):
     return np.isfinite(depth) & (depth > 0) & ((depth != 65535) | (depth.dtype.kind == 'f'))
 
 
-def check_depth(topic, images):
-    """What is wrong with a topic's depth images: `images` from all over the recording, since its first may look at a wall."""
+def check_depth(topic, images, instead=''):
+    """What is wrong with a topic's depth images: `images` from all over the recording, since its first may look at a wall; `instead`: what may be taken in their place."""
     images = [depth for depth in map(depths, images) if depth is not None and depth.ndim == 2]
     valid = [depth[known(depth)] for depth in images]
     shares = [len(v) / max(1, d.size) for v, d in zip(valid, images)]
     if images and np.median(shares) < 0.02:
-        return [Finding(WARNING, f'{topic}: {100 * np.median(shares):.1f} % of an image has a depth')]
+        return [Finding(WARNING, f'{topic}: {100 * np.median(shares):.1f} % of an image has a depth, which is too few to map by{instead}')]
     medians = [np.median(v) for v in valid if len(v)]
     if not medians:
         return []
@@ -101,13 +105,18 @@ def check_depth(topic, images):
     return []
 
 
-def check_image(topic, stream, encodings):
+def check_image(topic, stream, encodings, instead=''):
+    """What is wrong with a topic's images. encodings: GREY or DEPTH; instead: as check_depth() has it."""
     image = stream.samples[0]
-    result = check_depth(topic, stream.spread) if encodings is DEPTH else []
+    result = check_depth(topic, stream.spread, instead) if encodings is DEPTH else []
     if image._type == 'sensor_msgs/CompressedImage':
-        pixels = picture(image)
+        decoded = list(map(picture, stream.samples))
+        pixels = next((found for found in decoded if found is not None), None)
         if pixels is None:
-            return [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
+            return [Finding(ERROR, f'{topic}: the first images cannot be decoded (format {image.format!r})')]
+        broken = sum(found is None for found in decoded)
+        if broken:
+            result.append(Finding(WARNING, f'{topic}: {broken} of the first {len(decoded)} images cannot be decoded: the nodes leave such out'))
         if encodings is DEPTH and (pixels.dtype != np.uint16 or pixels.ndim != 2):
             result.append(Finding(ERROR, f'{topic}: its images ({image.format}) are of {8 * pixels.itemsize} bits, which hold no depth: record {topic.rsplit("/", 1)[0]}/compressedDepth, '
                                   'or the raw images'))

@@ -5,10 +5,12 @@ import shlex
 
 import numpy as np
 
-from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_names, own_outputs
+from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_missing, bag_names, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
+from .bag_missing import OPTIONAL
 from .bag_reader import APART, POSE_TYPES, BagFacts, open_bag
 from .bag_registration import Registration
+from .bag_topics import packets
 
 # standard topic: (types, least rate [Hz], who needs it)
 MAV = {
@@ -29,7 +31,6 @@ CITY = {
     '/gps/fix': (('sensor_msgs/NavSatFix',), 0, 'GPS of the tracker, and for comparison'),
     '/mav/imu/mag': (('sensor_msgs/MagneticField',), 0, 'heading of the tracker with magnetometer'),
     '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
-OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
 BURSTS = 3  # times the median step: a long one, as it lies between packets of messages
 LACKING = 0.05  # of the messages
@@ -95,6 +96,7 @@ def first_frames(facts, names):
     topics = {robot: bag_guess.recorded(facts, names.get(standard, standard)) for robot, standard in IMAGES.items()}
     infos = {robot: names.get(info := standard.replace('image_raw', 'camera_info'), info) for robot, standard in IMAGES.items()}
     frames = {robot: facts.frame(infos[robot]) or facts.frame(topic) for robot, topic in topics.items() if topic}
+    frames.update({robot: facts.frame(infos[robot]) or '' for robot, standard in IMAGES.items() if names.get(standard) in packets(facts)})
     return {robot: frame for robot, frame in frames.items() if frame is not None}
 
 
@@ -108,8 +110,10 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     bases = {'mav': 'mav_base_link', 'ground': 'ground_base_link', **(bases or {})}
     wanted = {**(MAV if 'mav' in robots else {}), **(CITY if city else GROUND if 'ground' in robots else {})}
     facts = path if isinstance(path, BagFacts) else BagFacts(path)
+    wanted = {standard: need for standard, need in wanted.items() if names.get(standard) != bag_guess.NONE}
     actual = {standard: names.get(standard, standard) for standard in wanted}
-    findings = []
+    apart = bag_missing.mounting(facts, actual, bases) if 'mav' in robots else ''
+    findings = bag_missing.undecoded(facts, actual)
     present = {}
     for standard, (types, _, purpose) in wanted.items():
         topic = actual[standard]
@@ -124,7 +128,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             instead = f', and beside it {relay}, since no node takes compressed images under this name' if relay else ''
             findings.append(Finding(WARNING, f'{bag_guess.raw_name(topic)} is there compressed, as {present[standard]}: replay with {argument}{instead}', beside=relay))
         elif standard not in ELSEWHERE:
-            findings.append(_missing(facts, standard, topic, types, purpose, actual, city))
+            findings.append(bag_missing.check(facts, standard, types, purpose, actual, city, apart))
     streams = read(facts.path, present.values(), spread=[topic for standard, topic in present.items() if standard in ('/ground/depth/image_raw', '/barometer')])
     for stream in streams.values():
         stream.leave_out_unstamped()
@@ -136,7 +140,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         if standard.endswith('camera_info'):
             findings += bag_camera.check_info(topic, streams[topic], present.get(standard.replace('camera_info', 'image_raw'), topic))
         elif standard.endswith('image_raw'):
-            images = bag_camera.check_image(topic, streams[topic], bag_camera.DEPTH if 'depth' in standard else bag_camera.GREY)
+            images = bag_camera.check_image(topic, streams[topic], bag_camera.DEPTH if 'depth' in standard else bag_camera.GREY, bag_missing.other_depth(facts, topic) if 'depth' in standard else '')
             findings += images + (bag_depth.check_range(topic, streams[topic].spread, [f.argument for f in images]) if 'depth' in standard else [])
         elif standard.endswith('imu/data'):
             findings += bag_imu.check(standard, topic, streams[topic], standard.replace('data', 'accel') in present)
@@ -145,7 +149,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             findings += _pressure(topic, streams[topic].spread)
         elif standard in CITY or city or standard.endswith('imu/accel') or not facts.counts[topic]:
             continue
-        elif streams[topic].frames != {'world'}:
+        elif streams[topic].frames != {'world'} and present.keys() >= {f'/ground_truth/{robot}' for robot in IMAGES}:
             findings.append(Finding(WARNING, f'{topic} is in frame {quoted(streams[topic].frames)}; the report takes both robots\' as one frame'))
     findings += _pairs(present, streams)
     findings += _clocks(present, streams)
@@ -154,9 +158,11 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases, frames)
     findings += own_outputs.check(facts) + _elsewhen(facts) + _parts(facts)
     registration = _registration(present, streams)
-    findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '')
-    without_imu = '/ground/imu/data' not in present or any(f.argument == bag_imu.without('/ground/imu/data') for f in findings)
-    if without_imu and '/ground/rgb/image_raw' in present:
+    findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '',
+                                                               bag_missing.import_line(facts, actual), apart != '')
+    imu = streams.get(present.get('/ground/imu/data'))
+    levelled = imu and np.any(imu.accel) and not any(f.argument == bag_imu.without('/ground/imu/data') for f in findings)
+    if not levelled and '/ground/rgb/image_raw' in present:
         findings += bag_frames.check_level(bases['ground'])
     return findings
 
@@ -174,30 +180,6 @@ def examine(facts, city=False, present=('mav', 'ground'), given=None, bases=None
     return names, findings, bag_guess.command(facts, names, bases, frames, city, city or registered(facts, names), arguments)
 
 
-def _missing(facts, standard, topic, types, purpose, actual, city):
-    level = WARNING if standard in OPTIONAL else ERROR
-    if topic in facts.types:
-        return Finding(level, f'{topic} has type {facts.types[topic]}, expected {" or ".join(types)}')
-    if f'{topic}/theora' in facts.types:
-        return Finding(level, f'{topic} is there as {topic}/theora alone, which no node decodes: on a machine with ros-noetic-image-transport-plugins, '
-                       f'rosrun image_transport republish theora in:={topic} compressed out:={topic}  beside the bag\'s player, and record {topic}/compressed')
-    argument = bag_guess.ARGUMENTS[standard]
-    similar = [t for t in facts.of_type(*types) if t not in actual.values()]
-    if argument in ('mav_truth', 'ground_truth'):
-        similar = [t for t in similar if bag_guess.TRUTH_WORDS.search(t.lower()) or not bag_guess.OWN_WORDS.search(t.lower())]
-    hint = f'; the bag has {", ".join(similar[:4])} of this type: set {argument}:= (here: --map)' if similar else ''
-    if standard.endswith('camera_info') and not similar:
-        image = actual.get(standard.replace('camera_info', 'image_raw'), standard)
-        hint = f': publish it beside the replay: rosrun air_ground publish_calibration --camera-info FILE.yaml image:={image} camera_info:={standard}'
-    if standard == '/mav/imu/data' and not similar and not city:
-        level, hint = WARNING, ': mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale'
-    without = ''
-    if standard == '/ground/imu/data' and not similar:
-        without = bag_imu.without(standard)
-        hint = f': {without} waits for none'
-    return Finding(level, f'{topic} is missing ({purpose}){hint}', without)
-
-
 def _stamps(standard, topic, stream, least_rate):
     stamps = np.array(stream.stamps)
     result = []
@@ -206,7 +188,8 @@ def _stamps(standard, topic, stream, least_rate):
     if len(stamps) == 1 and standard.endswith('camera_info'):
         return [Finding(OK, f'{topic}: 1 message, taken for all images')]
     if len(stamps) < 2:
-        return [Finding(level, f'{topic} holds {len(stamps)} message(s){instead}', without)]
+        without = bag_imu.without(standard)  # as where it is missing
+        return [Finding(WARNING if without else level, f'{topic} holds {len(stamps)} message(s)' + (f': replay without it, {without}' if without else ''), without)]
     if np.any(stamps <= 0) and stream.samples[0]._type == 'sensor_msgs/CameraInfo':
         return [Finding(OK, f'{topic}: {len(stamps)} messages without stamp: each holds until the next one')]
     if np.any(stamps <= 0):
@@ -272,8 +255,8 @@ def _pairs(present, streams):
         if alone > 0.02 * len(a):
             result.append(Finding(WARNING, f'{present[image]}: {alone} of {len(a)} images have no {present[other]} within {1000 * tolerance:g} ms'))
         if other.endswith('camera_info'):
-            info, picture = streams[present[other]].samples[0], streams[present[image]].samples[0]
-            size = bag_camera.image_size(picture)
+            info, pictures = streams[present[other]].samples[0], streams[present[image]].samples
+            size = next(filter(None, map(bag_camera.image_size, pictures)), None)
             stated = bag_camera.stated_size(info)
             if size and stated != size:
                 result.append(Finding(ERROR, f'{present[other]} is for {stated[0]}x{stated[1]}, the images are {size[0]}x{size[1]}' + bag_camera.resized(info, size)))

@@ -7,6 +7,8 @@ import numpy as np
 
 from . import bag_camera, bag_registration
 from .bag_reader import POSE_TYPES, POSITION_TYPES
+from .bag_robots import BODIES, GROUND_WORDS, MAV_WORDS, common, drives, flies, frame_of, has, joined, may_fly, on_one_body, owner  # noqa: F401: words for others, too
+from .bag_topics import IMAGE_TYPES, TRANSPORTS, image_topics, raw_name, recorded, transport, with_slash  # noqa: F401: the same
 
 # standard topic -> argument of the launch files
 ARGUMENTS = {
@@ -15,51 +17,21 @@ ARGUMENTS = {
     '/ground/depth/camera_info': 'ground_depth_camera_info', '/mav/imu/accel': 'mav_imu_accel', '/ground/imu/accel': 'ground_imu_accel',
     '/ground/imu/data': 'ground_imu', '/ground_truth/ground': 'ground_truth', '/gps/fix': 'gps_fix', '/mav/imu/mag': 'mav_magnetic_field',
     '/barometer': 'barometer_pressure'}
-# What topics say of whom they are: whole words, or beginnings of words, where a part of another word would mean something else (stairs, quadruped, background).
-MAV_WORDS = re.compile(r'drone|copter|quadrotor|multirotor|hummingbird|firefly|bebop|anafi|(?<![a-z])((mav|uav|dji|px4|airsim)|(quad|air|aerial|fly|flying|iris|tello)(?![a-z]))')
-GROUND_WORDS = re.compile(r'robot|husky|jackal|turtlebot|summit|pioneer|kinect|realsense|(?<![a-z])(ground|ugv|rover|tb3)')
 TRUTH_WORDS = re.compile(r'truth|vicon|vrpn|mocap|leica|optitrack|qualisys|natnet|(?<![a-z])gt(?![a-z])')
 OWN_WORDS = re.compile(r'odom|wheel|slam|ekf|(?<![a-z])vi?o(?![a-z])')  # a robot's own estimate, which is no truth
 LIDAR_WORDS = re.compile(r'ouster|lidar|livox|velodyne|(?<![a-z])os[01]')
-NO_WORDS = re.compile(r'(?!)')
+EYE_WORDS = re.compile(r'cam|rgb|colou?r')  # what a lidar's own images (range, reflectivity) are not called
+ODD_WORDS = re.compile(r'davis|thermal|boson|lepton|optris|(?<![a-z])(dvs|event|flir)')  # cameras of few pixels, or of no light: the last choice
 DOWN_WORDS = re.compile(r'down|bottom|nadir|belly')
 COLOUR_WORDS = re.compile(r'rgb|colou?r')
 LEFT_WORDS = re.compile(r'cam0|left|mono|gr[ae]y')
 INFRARED = re.compile(r'infra|(^|[/_])ir([/_]|$)')  # a depth camera's own eyes
-EYES = re.compile(r'/?(ir|infra(red)?_?\d?|(depth|rgb|ir)_to_(depth|rgb|ir))/')  # a depth camera's images of other kinds, in no folder of its driver (Azure Kinect)
 RIGHT = re.compile(r'right|rect|cam1|infra2|(^|[/_])r([/_]|$)')  # of a stereo pair the left image is taken, as it is
+NONE = 'none'  # in place of a topic: the bag has none of it, whatever else it holds
+MAY_LACK = re.compile('/(mav|ground)/imu/|/ground_truth/')  # standard topics of which a bag may have none
+HOUSING = 0.05  # [m]: cameras no further apart are of one make
 CAMERAS = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
 FAST_IMU = 80 * 0.98  # [Hz]: what check_bag advises, for one that is nearly so
-IMAGE_TYPES = ('sensor_msgs/Image', 'sensor_msgs/CompressedImage')
-TRANSPORTS = ('compressedDepth', 'compressed')  # the better first: the second may be a JPEG, of depth too
-
-
-def with_slash(topic):
-    """As nodes without namespace resolve what was recorded, or given, without one."""
-    return '/' + topic.lstrip('/')
-
-
-def raw_name(topic):
-    """The image topic that a compressed one belongs to."""
-    parent, _, last = topic.rpartition('/')
-    return parent if last in TRANSPORTS else topic
-
-
-def image_topics(facts):
-    """Image topics, raw or compressed, under the raw name."""
-    return sorted({raw_name(t) for t in facts.of_type(*IMAGE_TYPES)})
-
-
-def transport(facts, topic):
-    """'raw', 'compressed' or None, as an image topic is in the bag."""
-    if facts.types.get(topic) in IMAGE_TYPES:
-        return 'raw' if facts.types[topic] == IMAGE_TYPES[0] else 'compressed'
-    return 'compressed' if any(f'{topic}/{kind}' in facts.types for kind in TRANSPORTS) else None
-
-
-def recorded(facts, topic):
-    """The topic under which the bag holds an image topic: itself, or compressed; None without."""
-    return topic if facts.types.get(topic) in IMAGE_TYPES else next((f'{topic}/{t}' for t in TRANSPORTS if f'{topic}/{t}' in facts.types), None)
 
 
 def compressed_argument(facts, argument, topic):
@@ -73,21 +45,6 @@ def compressed_argument(facts, argument, topic):
 def relay(argument, topic):
     """The command that hands on compressed images whose topic's name does not say so, under one by which the nodes take them; '' where it says so."""
     return '' if topic != raw_name(topic) else f'rosrun topic_tools relay {topic} {topic}/{TRANSPORTS[0] if argument == "ground_depth" else TRANSPORTS[1]}'
-
-
-def _common(a, b):
-    """How many words of two topics agree from the front."""
-    count = 0
-    for x, y in zip(a.strip('/').split('/'), b.strip('/').split('/')):
-        if x != y:
-            break
-        count += 1
-    return count
-
-
-def has(topic, words):
-    """Whether a topic's name says one of the words; ground_truth is no ground robot."""
-    return words.search(re.sub('ground_?truth', 'truth', topic.lower())) is not None
 
 
 def _best(topics, score):
@@ -116,31 +73,44 @@ def _compressed_encoding(picture):
     return 'mono16' if pixels is not None and pixels.dtype == np.uint16 and pixels.ndim == 2 else None
 
 
-def _connected(facts, a, b):
-    """Whether /tf_static has the cameras of two image topics on one body; None where it does not know both."""
-    frames = [facts.frame(recorded(facts, topic)) for topic in (a, b)]
-    if all(frames) and facts.static_transform(*frames) is not None:
-        return True
-    return False if {frame for edge in facts.edges for frame in edge}.issuperset(frames) else None
-
-
-def _may_fly(facts, topic, ground):
-    """Whether a camera may be the MAV's, beside that of the ground robot's images (None: there is none): not one that sits on it, by /tf_static or, without it, by the folder of
-    their driver, nor another eye of it where the driver has no folder."""
-    if ground is None or has(topic, GROUND_WORDS):
-        return ground is None
-    connected = _connected(facts, topic, ground)
-    return has(topic, MAV_WORDS) or (not connected if connected is not None else _common(topic, ground) == 0 and not EYES.match(topic))
-
-
 def infos(facts, image):
     """The topics with the calibration of an image topic, the likeliest first: below it, as AirSim has it, else beside it, or where RealSense Viewer keeps it (Color_0/info beside
-    Color_0/image)."""
+    Color_0/image); else a folder higher, where its frame and size are the images' (uHumans2)."""
     name = raw_name(image)
     parent = name.rpartition('/')[0]
-    folders = (name, parent, re.sub('/image$', '/info', parent))
-    found = [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rpartition('/')[0] in folders]
-    return sorted(found, key=lambda t: t.rpartition('/')[0] != name)
+    folders, upper = (name, parent, re.sub('/image$', '/info', parent)), parent.rpartition('/')[0]
+    known = facts.of_type('sensor_msgs/CameraInfo')
+    found = [t for t in known if t.rpartition('/')[0] in folders]
+    return sorted(found, key=lambda t: t.rpartition('/')[0] != name) or [t for t in known if upper and t.rpartition('/')[0] == upper and _fits(facts, t, image)]
+
+
+def _fits(facts, info, image):
+    """Whether a calibration's frame and size are those of an image topic."""
+    return frame_of(facts, info) == frame_of(facts, image) and bag_camera.stated_size(facts.first_message(info)) == _size(facts, image)
+
+
+def _size(facts, image):
+    """(width, height) of a topic's first image; (0, 0) where that cannot be told."""
+    picture = facts.first_message(recorded(facts, image))
+    return picture is not None and bag_camera.image_size(picture) or (0, 0)
+
+
+def _area(facts, image):
+    width, height = _size(facts, image)
+    return width * height
+
+
+def _is_grey(facts, topic, images):
+    """Whether images of 16 bits are brightness, though they might be depth: a thermal camera's, and those that neither their name nor a camera beside them says to be depth."""
+    if facts.encoding(topic) != '16UC1' or 'depth' in topic.lower() or has(topic, bag_registration.REGISTERED):
+        return False
+    return has(topic, ODD_WORDS) or not any(common(topic, other) or on_one_body(facts, topic, other) for other in images if not _is_depth(facts, other))
+
+
+def kinds(facts, images):
+    """(depth images, others that cameras took) of image topics; a lidar takes none."""
+    depths = [t for t in images if _is_depth(facts, t) and not _is_grey(facts, t, images)]
+    return depths, [t for t in images if t not in depths and 'disparity' not in t.lower() and (has(t, EYE_WORDS) or not has(t, LIDAR_WORDS))]
 
 
 def _agreement(facts, colour, depth):
@@ -165,7 +135,10 @@ def mapped(rules):
         if not separator or not topic or not standard:
             known = ', '.join(f'{name} ({argument})' for name, argument in ARGUMENTS.items())
             raise ValueError(f'{rule}: expected TOPIC:=STANDARD, where STANDARD is one of {known}')
-        result[standard] = topic
+        none = topic.lstrip('/') == NONE
+        if none and not MAY_LACK.match(standard):
+            raise ValueError(f'{rule}: {NONE} leaves out an IMU or reference poses; --only leaves out a robot')
+        result[standard] = NONE if none else topic
     return result
 
 
@@ -200,16 +173,15 @@ def guess(facts, city=False, robots=('mav', 'ground'), given=None):
              and (standard.split('/')[1] in robots or standard.split('/')[1] not in ('mav', 'ground'))}
     names.update(given or {})
     known = {raw_name(topic) for topic in names.values()}
-    images = [t for t in image_topics(facts) if t not in known]
-    depths = [t for t in images if _is_depth(facts, t)]
-    colours = [t for t in images if t not in depths and 'disparity' not in t.lower()]
+    depths, colours = kinds(facts, [t for t in image_topics(facts) if t not in known])
     choices = _Choices(names)
     if not city and 'ground' in robots:
         _guess_depth_camera(facts, choices, depths, colours)
     ground = names.get(CAMERAS['ground']) if 'ground' in robots else None
     if 'mav' in robots:  # a camera that sits on the ground robot is not the MAV's
-        choices.choose(CAMERAS['mav'], [t for t in colours if _may_fly(facts, t, ground)],
-                       lambda t: (has(t, MAV_WORDS), not city and has(t, DOWN_WORDS), has(t, LEFT_WORDS), not has(t, RIGHT), not has(t, INFRARED), bool(infos(facts, t)), 'raw' in t))
+        choices.choose(CAMERAS['mav'], [t for t in colours if len(robots) == 1 or may_fly(facts, t, ground)],
+                       lambda t: (flies(facts, t), not has(t, ODD_WORDS) and _area(facts, t) > 0, not city and has(t, DOWN_WORDS), has(t, LEFT_WORDS), not has(t, RIGHT),
+                                  not has(t, INFRARED), bool(infos(facts, t)), 'raw' in t, 'front' in t.lower(), _area(facts, t)))
     for robot in CAMERAS:
         if names.get(CAMERAS[robot]) and robot in robots:
             _guess_sensors(facts, choices, robot)
@@ -217,49 +189,56 @@ def guess(facts, city=False, robots=('mav', 'ground'), given=None):
         choices.choose_first('/ground/depth/camera_info', infos(facts, names['/ground/depth/image_raw']))
     if city:
         for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
-            choices.choose(standard, facts.of_type(kind), lambda t: ('diff' not in t.lower(), has(t, MAV_WORDS)))  # differential pressure is of an airspeed sensor
+            choices.choose(standard, facts.of_type(kind), lambda t: ('diff' not in t.lower(), flies(facts, t)))  # differential pressure is of an airspeed sensor
     return names
 
 
 def _guess_depth_camera(facts, choices, depths, colours):
     """The ground robot's images."""
-    depth = choices.choose('/ground/depth/image_raw', depths,
-                           lambda t: (has(t, GROUND_WORDS), not has(t, MAV_WORDS), has(t, bag_registration.REGISTERED), 'raw' in t))
+    depth = choices.choose('/ground/depth/image_raw', [t for t in depths if owner(facts, t) != 'mav'],
+                           lambda t: (drives(facts, t), not flies(facts, t), has(t, bag_registration.REGISTERED), 'front' in t.lower(), 'raw' in t))
     if depth is None:
         return
-    frame = facts.frame(recorded(facts, depth))
-    choices.choose('/ground/rgb/image_raw', [t for t in colours if not has(t, MAV_WORDS) and not has(t, INFRARED)],
-                   lambda t: (has(t, GROUND_WORDS), (same := facts.frame(recorded(facts, t)) == frame), _agreement(facts, t, depth) if same or has(depth, bag_registration.REGISTERED) else 0,
-                              has(t, COLOUR_WORDS), _common(t, depth), not has(t, RIGHT), 'raw' in t))
+    choices.choose('/ground/rgb/image_raw', [t for t in colours if not flies(facts, t) and not has(t, INFRARED)], lambda t: _partnership(facts, t, depth))
     if '/ground/rgb/image_raw' not in choices.names:  # a MAV's, or of a camera for something else
         choices.taken.discard(choices.names.pop('/ground/depth/image_raw'))
 
 
+def _partnership(facts, colour, depth):
+    """How well a colour camera goes with depth: by the body, frames and calibration, by where they sit, then by names."""
+    frames = frame_of(facts, depth), frame_of(facts, colour)
+    same = frames[0] == frames[1]
+    agreement = _agreement(facts, colour, depth) if same or has(depth, bag_registration.REGISTERED) else 0
+    connected = True if same else joined(facts, *frames)
+    between = facts.static_transform(*frames)
+    near = -max(HOUSING, np.linalg.norm(between[:3, 3])) if between is not None else -np.inf
+    words = len(set(colour.split('/')) & set(depth.split('/')))
+    return (connected is not False, drives(facts, colour), same, agreement, connected is True, near, common(colour, depth) > 0, has(colour, COLOUR_WORDS), common(colour, depth),
+            words, not has(colour, RIGHT), 'raw' in colour)
+
+
 def _guess_sensors(facts, choices, robot):
-    """What goes with a robot's images: their calibration, IMU, reference poses. What is named as this robot's comes first where there is another robot that it may be of."""
+    """What goes with a robot's images: their calibration, IMU, reference poses. Where there is another robot that they may be of, what is named as this robot's comes first, and
+    reference poses that say of neither are nobody's."""
     image, others = choices.names[CAMERAS[robot]], [choices.names[c] for r, c in CAMERAS.items() if r != robot and choices.names.get(c)]
-    own, other = (MAV_WORDS, GROUND_WORDS) if robot == 'mav' else (GROUND_WORDS, MAV_WORDS)
-    other = other if others else NO_WORDS
+    own, theirs = (flies, drives) if robot == 'mav' else (drives, flies)
     choices.choose_first(CAMERAS[robot].replace('image_raw', 'camera_info'), infos(facts, image))
-    imus, connected = _mounted(facts, [t for t in facts.of_type('sensor_msgs/Imu') if not has(t, other)], image, others)
+    imus, connected = _mounted(facts, [t for t in facts.of_type('sensor_msgs/Imu') if not (others and theirs(facts, t))], image, others)
     doubt = others and not connected
     imu = choices.choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t.lower()],
-                         lambda t: (bool(doubt and has(t, own)), not has(t, LIDAR_WORDS) and not has(t, TRUTH_WORDS), _common(t, image), facts.rate(t) >= FAST_IMU, has(t, own), 'raw' not in t,
-                                    'gyro' not in t.lower()))
+                         lambda t: (bool(doubt and own(facts, t)), not has(t, LIDAR_WORDS) and not has(t, TRUTH_WORDS) and has(t, ODD_WORDS) <= has(image, ODD_WORDS),
+                                    common(t, image), facts.rate(t) >= FAST_IMU, own(facts, t), 'raw' not in t, 'gyro' not in t.lower()))
     if imu is not None and 'gyro' in imu.lower():
-        choices.choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t.lower()], lambda t: _common(t, imu))
-    choices.choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if has(t, TRUTH_WORDS) and not has(t, other) and facts.counts[t] > 1],
-                   lambda t: (bool(others and has(t, own)), facts.types[t] not in POSITION_TYPES, has(t, own)))
+        choices.choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t.lower()], lambda t: common(t, imu))
+    choices.choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if has(t, TRUTH_WORDS) and facts.counts[t] > 1 and not (others and theirs(facts, t))
+                                              and (not others or own(facts, t) or common(t, image) > max(common(t, other) for other in others))],
+                   lambda t: (facts.types[t] not in POSITION_TYPES, own(facts, t)))
 
 
 def _mounted(facts, imus, image, others):
     """(Of the IMUs those that /tf_static connects with the images' camera, True); where none is, (those that are not on the other robot, False)."""
-    def connected(imu, topic):
-        seen = recorded(facts, topic)
-        return seen is not None and facts.static_transform(facts.frame(seen), facts.frame(imu)) is not None
-
-    own = [imu for imu in imus if connected(imu, image)]
-    return own or [imu for imu in imus if not any(connected(imu, other) for other in others)], bool(own)
+    own = [imu for imu in imus if facts.static_transform(frame_of(facts, image), frame_of(facts, imu)) is not None]
+    return own or [imu for imu in imus if not any(on_one_body(facts, imu, other) for other in others)], bool(own)
 
 
 def chain(facts, frame):
@@ -285,7 +264,7 @@ def guess_base(facts, robot, frame, names=None):
         return _body(robot, frames)
     bodies = [f for f in frames[1:] if 'optical' not in f.lower()]
     if not bodies and imu:  # a body that the IMU sits on, though nothing tells where the camera does
-        bodies = [f for f in chain(facts, imu)[1:] if 'optical' not in f.lower() and f not in frames]
+        bodies = [f for f in chain(facts, imu) if 'optical' not in f.lower() and f not in frames and (f != imu or BODIES.search(f.lower()))]
     return _body(robot, bodies) if bodies else None
 
 
@@ -299,7 +278,8 @@ def command(facts, names, bases, frames, city=False, registered=True, arguments=
     """The roslaunch command for this bag. bases: robot -> body frame; frames: robot -> its images' frame; registered: depth is seen from the colour camera;
     arguments: further ones, as what is wrong with the bag asks for, in place of the topics guessed."""
     told = {argument.partition(':=')[0] for argument in arguments}
-    names = {standard: topic for standard, topic in names.items() if (not registered or standard != '/ground/depth/camera_info') and ARGUMENTS[standard] not in told}
+    names = {standard: topic for standard, topic in names.items() if (not registered or standard != '/ground/depth/camera_info') and ARGUMENTS[standard] not in told
+             and (topic != NONE or standard == '/ground/imu/data')}  # whose node waits for one unless it is told that there is none
     robots = [robot for robot, image in (('mav', '/mav/camera/image_raw'), ('ground', '/ground/rgb/image_raw')) if image in names]
     words = ['roslaunch', 'air_ground', 'city.launch' if city else 'replay.launch', f'bag:={os.path.abspath(facts.path)}']
     words.append(f'out:=out-{os.path.splitext(os.path.basename(facts.path))[0]}')  # where roslaunch is started, as its default is: a bag's folder may be read-only

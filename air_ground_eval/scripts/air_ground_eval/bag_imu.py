@@ -7,6 +7,8 @@ FASTEST = 4  # [rad/s]: half of a recording's turn rates beyond this are of no r
 VANISHING = 0.3  # of a reading's size: vibration without gravity has a smaller mean, a robot that stays upright one of about 1
 REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
 
+LEAST_RANGE = {'accelerations': (18.0, 'm/s^2'), 'turn rates': (2.0, 'rad/s')}  # no accelerometer's range ends below 2 g, no gyro's below 125 deg/s
+
 SLOWEST = 25  # [Hz]: as in ImuCoverage of air_ground_common; what comes less often serves no image
 
 
@@ -27,6 +29,26 @@ def unite(gyro, accelerometer):
     """Gives a gyro's stream the accelerations of an accelerometer's own, where there is one, at its stamps."""
     if gyro and accelerometer and accelerometer.accel:
         gyro.accel = np.column_stack([np.interp(gyro.stamps, accelerometer.stamps, column) for column in np.array(accelerometer.accel).T])
+
+
+def cut_off(readings, least):
+    """Where the range of a sensor ends, as its readings (N x 3) show: what lies beyond is read as one number again and again, and hardly anything just below
+    it (as RangeEnd of air_ground_common). None where it was not reached."""
+    for axis in np.abs(readings).T:
+        end = axis.max()
+        at = np.count_nonzero(axis >= (1 - 1e-4) * end)
+        if end >= least and at >= 10 and at > np.count_nonzero(axis >= 0.98 * end) - at:
+            return end, at
+    return None
+
+
+def _gyro_alone(standard, topic):
+    """What it means that an IMU measures no acceleration: a ground robot's map is levelled by surfaces, but nothing else tells a MAV's vertical and scale."""
+    accel = standard.replace('data', 'accel')
+    named = f'where the accelerometer has a topic of its own, name it ({accel[1:].split("/")[0]}_imu_accel:=, here --map TOPIC:={accel})'
+    if standard.startswith('/ground'):
+        return Finding(WARNING, f'{topic}: there is no acceleration in it: {named}; else the gyro alone tells turns, and the map is levelled by what lies flat in it; {without(standard)} does without')
+    return Finding(ERROR, f'{topic}: there is no acceleration in it: {named}; or replay with {without(standard)}', without(standard))
 
 
 def check(standard, topic, stream, apart):
@@ -50,8 +72,7 @@ def check(standard, topic, stream, apart):
         return result + [Finding(WARNING, f'{topic}: turn rates and accelerations are all zero, an attitude alone helps no node: take another topic of this IMU, or replay '
                                  f'with {instead}', instead)]
     if norm == 0:
-        result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
-                              'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
+        result.append(_gyro_alone(standard, topic))
     elif 0.9 < norm < 1.1 and mean > VANISHING * norm:
         result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed: convert it, or replay with {instead}', instead))
     elif norm < 2 or norm < 8.5 and mean < VANISHING * norm:
@@ -65,6 +86,12 @@ def check(standard, topic, stream, apart):
                               f'or replay with {instead}', instead))
     elif not gyro.any():
         result.append(Finding(WARNING, f'{topic}: the turn rate is always zero, an accelerometer alone helps no node: replay with {instead}', instead))
+    for what, readings in (('accelerations', accel), ('turn rates', gyro)):
+        least, unit = LEAST_RANGE[what]
+        clipped = cut_off(readings, least)
+        if clipped:
+            result.append(Finding(WARNING, f'{topic}: {clipped[1]} {what} are cut off at {clipped[0]:.3g} {unit}, the end of the sensor\'s range: scale, vertical and turns '
+                                  'err; set a wider range in its driver, or damp its mount, and record again'))
     return result
 
 

@@ -10,6 +10,7 @@ import roslib.message
 import rospy
 
 from . import geometry, messages, own_outputs
+from .bag_topics import PACKETS
 from .evaluation import Track
 from .truth import Reference
 from .video import is_video
@@ -31,7 +32,7 @@ POSE_TYPES = {
     'geometry_msgs/TransformStamped': lambda m: (m.transform.translation, m.transform.rotation),
     'geometry_msgs/PointStamped': lambda m: (m.point, None)}  # of a total station
 POSITION_TYPES = ('geometry_msgs/PointStamped',)
-SENSOR_TYPES = ('sensor_msgs/Image', 'sensor_msgs/CompressedImage', 'theora_image_transport/Packet', 'sensor_msgs/CameraInfo', 'sensor_msgs/Imu')
+SENSOR_TYPES = ('sensor_msgs/Image', 'sensor_msgs/CompressedImage', *PACKETS, 'sensor_msgs/CameraInfo', 'sensor_msgs/Imu')
 APART = 60.0  # [s]: what was recorded so long before all sensors' messages, or after them, is no part of a replay
 LEAP = 1e7  # [s]: no recording pauses that long: its clock was set meanwhile
 
