@@ -51,7 +51,7 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
                                  const std::vector<Eigen::Vector3f>& sparse_points);
 
 /// Fuses the maps; `reference` is the index of the view to cast rays from. Empty when they hold too little depth.
-/// Without `view` the depth map has no depth and no confidence: casting rays takes a tenth of the time. Throws
+/// Without `view` the depth map has no depth and no confidence, which saves the time of casting rays. Throws
 /// std::invalid_argument for bad settings or an index out of range.
 std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference,
                                       const FusionSettings& settings,
