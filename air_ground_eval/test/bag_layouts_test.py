@@ -19,7 +19,7 @@ from std_msgs.msg import Float32, Header
 HERE = os.path.dirname(os.path.realpath(__file__))
 SCRIPTS = os.path.join(HERE, '..', 'scripts')
 sys.path[:0] = [HERE, SCRIPTS]
-from air_ground_eval import bag_guess, bag_reader, geometry, messages  # noqa: E402
+from air_ground_eval import bag_guess, bag_reader, bag_robots, bag_topics, geometry, messages  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 from as_module import load  # noqa: E402
 
@@ -75,7 +75,7 @@ class Recording:
             return message
 
         self.add(topic, 20, picture)
-        parent = bag_guess.raw_name(topic).rsplit('/', 1)[0]
+        parent = bag_topics.raw_name(topic).rsplit('/', 1)[0]
         return self.add(f'{parent}/camera_info', 20, lambda t: messages.camera_info(CAMERA, t, frame)) if options.get('info', True) else self
 
     def imu(self, topic, frame, accel=(0, 0, 9.81), gyro=(0.01, 0, 0.001), measured=True, rate=200):
@@ -357,10 +357,10 @@ class BagLayouts(unittest.TestCase):
     def test_words_are_whole(self):
         for topic, flies in (('/stairs/camera', False), ('/quadruped/camera', False), ('/chair/camera', False), ('/uav1/camera', True), ('/mavros/imu', True), ('/air/camera', True),
                              ('/airsim_node/a', True), ('/firefly/camera', True), ('/quad_2/camera', True), ('/hexacopter/camera', True), ('/Drone1/camera', True)):
-            self.assertEqual(bag_guess.has(topic, bag_guess.MAV_WORDS), flies, topic)
+            self.assertEqual(bag_robots.has(topic, bag_robots.MAV_WORDS), flies, topic)
         for topic, drives in (('/background/rgb', False), ('/ground_truth/pose', False), ('/groundtruth', False), ('/ground/rgb', True), ('/ugv_1/rgb', True), ('/robot1/rgb', True)):
-            self.assertEqual(bag_guess.has(topic, bag_guess.GROUND_WORDS), drives, topic)
-        self.assertFalse(bag_guess.has('/length', bag_guess.TRUTH_WORDS))
+            self.assertEqual(bag_robots.has(topic, bag_robots.GROUND_WORDS), drives, topic)
+        self.assertFalse(bag_robots.has('/length', bag_guess.TRUTH_WORDS))
         recording = Recording(self.path(), [('base_link', 'cam')]).camera('/stairs/camera/color/image_raw', 'rgb8', 'cam').camera('/stairs/camera/depth/image_raw', '16UC1', 'cam')
         self.assert_arguments(self.check()[2], ground_image='/stairs/camera/color/image_raw', mav_image=None)
 

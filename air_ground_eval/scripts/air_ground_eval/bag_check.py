@@ -10,7 +10,7 @@ from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_missing import OPTIONAL
 from .bag_reader import APART, POSE_TYPES, BagFacts, open_bag
 from .bag_registration import Registration
-from .bag_topics import packets
+from .bag_topics import packets, raw_name, recorded, transport
 
 # standard topic: (types, least rate [Hz], who needs it)
 MAV = {
@@ -93,7 +93,7 @@ def read(path, topics, limit=None, spread=()):
 
 def first_frames(facts, names):
     """robot -> frame id of its camera: as the nodes have it, of the first camera_info, else of the first image."""
-    topics = {robot: bag_guess.recorded(facts, names.get(standard, standard)) for robot, standard in IMAGES.items()}
+    topics = {robot: recorded(facts, names.get(standard, standard)) for robot, standard in IMAGES.items()}
     infos = {robot: names.get(info := standard.replace('image_raw', 'camera_info'), info) for robot, standard in IMAGES.items()}
     frames = {robot: facts.frame(infos[robot]) or facts.frame(topic) for robot, topic in topics.items() if topic}
     frames.update({robot: facts.frame(infos[robot]) or '' for robot, standard in IMAGES.items() if names.get(standard) in packets(facts)})
@@ -121,12 +121,12 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             findings.append(Finding(ERROR, otherwise))
         elif topic in facts.types and facts.types[topic] in types:
             present[standard] = topic
-        elif 'sensor_msgs/Image' in types and bag_guess.transport(facts, topic) == 'compressed':
-            present[standard] = bag_guess.recorded(facts, topic)
+        elif 'sensor_msgs/Image' in types and transport(facts, topic) == 'compressed':
+            present[standard] = recorded(facts, topic)
             argument = bag_guess.compressed_argument(facts, bag_guess.ARGUMENTS[standard], topic)
             relay = bag_guess.relay(bag_guess.ARGUMENTS[standard], present[standard])
             instead = f', and beside it {relay}, since no node takes compressed images under this name' if relay else ''
-            findings.append(Finding(WARNING, f'{bag_guess.raw_name(topic)} is there compressed, as {present[standard]}: replay with {argument}{instead}', beside=relay))
+            findings.append(Finding(WARNING, f'{raw_name(topic)} is there compressed, as {present[standard]}: replay with {argument}{instead}', beside=relay))
         elif standard not in ELSEWHERE:
             findings.append(bag_missing.check(facts, standard, types, purpose, actual, city, apart))
     streams = read(facts.path, present.values(), spread=[topic for standard, topic in present.items() if standard in ('/ground/depth/image_raw', '/barometer')])
@@ -267,7 +267,7 @@ def _pairs(present, streams):
 
 def registered(facts, names):
     """Whether depth is as the colour camera sees it, by the first images and calibrations; True without any."""
-    present = {standard: bag_guess.recorded(facts, names.get(standard, standard)) for standard in REGISTRATION[:2]}
+    present = {standard: recorded(facts, names.get(standard, standard)) for standard in REGISTRATION[:2]}
     present.update({standard: names[standard] for standard in REGISTRATION[2:] if facts.counts.get(names.get(standard)) and names[standard] not in facts.foreign})
     if None in present.values():
         return True

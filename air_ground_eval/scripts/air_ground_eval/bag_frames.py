@@ -7,7 +7,8 @@ import numpy as np
 
 from . import bag_guess, bag_imu, geometry, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
-from .bag_robots import BODIES
+from .bag_robots import BODIES, above
+from .bag_topics import image_topics
 
 NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
 IMAGES = ('/mav/camera/image_raw', '/ground/rgb/image_raw')
@@ -30,7 +31,7 @@ def publish(edges):
 
 def check_viewer(facts):
     """One error for a recording of RealSense Viewer: its images and IMUs share one frame id, and tf knows nothing of where they are."""
-    if not any(map(VIEWER.match, bag_guess.image_topics(facts))):
+    if not any(map(VIEWER.match, image_topics(facts))):
         return []
     path = shlex.quote(os.path.abspath(facts.path))
     record = "rosbag record -O ros.bag -e '/tf_static|/camera/(color|depth|aligned_depth_to_color)/(image_.*raw|camera_info)|/camera/(gyro|accel)/sample'"
@@ -124,8 +125,8 @@ def check_odometry(facts, robots, bases, frames=None):
         carries = any(facts.static_transform(parent, frame) is not None for frame in (frames or {}).get(robot, ()))
         if not parent or own or carries:
             continue
-        above = '' if child == bases[robot] else f', to which {bases[robot]} is fixed'
-        leaves = f'/tf holds {parent} -> {child}{above}, which a replay leaves out, since {node} publishes where {bases[robot]} is'
+        held = '' if child == bases[robot] else f', to which {bases[robot]} is fixed'
+        leaves = f'/tf holds {parent} -> {child}{held}, which a replay leaves out, since {node} publishes where {bases[robot]} is'
         if REFERENCES.search(parent.lower()):
             result.append(Finding(OK, f'{leaves}: a reference, by its name, and no odometry'))
             continue
@@ -136,13 +137,7 @@ def check_odometry(facts, robots, bases, frames=None):
 
 def move(facts, a, b):
     """Whether two frames that no static transform connects are in one tree with what changes on /tf."""
-    parents = {**{child: parent for parent, child in facts.edges}, **facts.moving}
-    above = []
-    for frame in (a, b):
-        above.append({frame})
-        while (frame := parents.get(frame)) is not None and frame not in above[-1]:
-            above[-1].add(frame)
-    return bool(above[0] & above[1])
+    return not set(above(facts, a)).isdisjoint(above(facts, b))
 
 
 def siblings(a, b):

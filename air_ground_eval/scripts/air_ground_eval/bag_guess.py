@@ -7,8 +7,8 @@ import numpy as np
 
 from . import bag_camera, bag_registration
 from .bag_reader import POSE_TYPES, POSITION_TYPES
-from .bag_robots import BODIES, GROUND_WORDS, MAV_WORDS, common, drives, flies, frame_of, has, joined, may_fly, on_one_body, owner  # noqa: F401: words for others, too
-from .bag_topics import IMAGE_TYPES, TRANSPORTS, image_topics, raw_name, recorded, transport, with_slash  # noqa: F401: the same
+from .bag_robots import BODIES, common, drives, flies, frame_of, has, joined, may_fly, on_one_body, owner
+from .bag_topics import TRANSPORTS, image_topics, raw_name, recorded, transport, with_slash
 
 # standard topic -> argument of the launch files
 ARGUMENTS = {
@@ -86,17 +86,17 @@ def infos(facts, image):
 
 def _fits(facts, info, image):
     """Whether a calibration's frame and size are those of an image topic."""
-    return frame_of(facts, info) == frame_of(facts, image) and bag_camera.stated_size(facts.first_message(info)) == _size(facts, image)
+    return frame_of(facts, info) == frame_of(facts, image) and bag_camera.stated_size(facts.first_message(info)) == size(facts, image)
 
 
-def _size(facts, image):
-    """(width, height) of a topic's first image; (0, 0) where that cannot be told."""
+def size(facts, image):
+    """(width, height) of a topic's first image; None where that cannot be told."""
     picture = facts.first_message(recorded(facts, image))
-    return picture is not None and bag_camera.image_size(picture) or (0, 0)
+    return picture and bag_camera.image_size(picture)
 
 
 def _area(facts, image):
-    width, height = _size(facts, image)
+    width, height = size(facts, image) or (0, 0)
     return width * height
 
 

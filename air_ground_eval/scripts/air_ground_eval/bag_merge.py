@@ -7,8 +7,8 @@ import genpy
 import numpy as np
 import rosbag
 
-from .bag_guess import IMAGE_TYPES, raw_name, with_slash
 from .bag_reader import BagError, BagFacts, open_bag
+from .bag_topics import IMAGE_TYPES, raw_name, with_slash
 
 SHARED = ('/tf', '/tf_static', '/clock', '/rosout', '/rosout_agg', '/diagnostics')  # topics of many publishers
 COMMON_FRAMES = {'world', 'earth', 'mocap'}  # of a reference that sees both robots

@@ -38,8 +38,7 @@ def similar(facts, standard, types, names):
     if robot:
         found = [t for t in found if not _of_another(facts, t, robot, names)]
     if standard.endswith('camera_info'):
-        pictures = facts.first_message(recorded(facts, names.get(standard.replace('camera_info', 'image_raw'))))
-        size = pictures and bag_camera.image_size(pictures)
+        size = bag_guess.size(facts, names.get(standard.replace('camera_info', 'image_raw')))
         found = [t for t in found if not size or facts.counts[t] and bag_camera.stated_size(facts.first_message(t)) == size]
     return found
 

@@ -3,15 +3,16 @@ from collections import Counter
 
 import numpy as np
 
-from . import bag_guess, messages
+from . import messages
 from .bag_finding import OK, WARNING, Finding, quoted
 from .bag_frames import publish
+from .bag_topics import IMAGE_TYPES, with_slash
 
 
 def adopt(facts):
     """Takes such mountings as publish_calibration says them beside a replay; findings that print its commands. Before topics and bases are guessed."""
     sensors = {}  # frame -> topics
-    for topic in facts.of_type(*bag_guess.IMAGE_TYPES, 'sensor_msgs/Imu'):
+    for topic in facts.of_type(*IMAGE_TYPES, 'sensor_msgs/Imu'):
         if facts.frame(topic):
             sensors.setdefault(facts.frame(topic), []).append(topic)
     return [finding for space in facts.elsewhere for finding in _namespace(facts, space, sensors)] + _prefixes(facts, set(sensors))
@@ -34,7 +35,7 @@ def _namespace(facts, space, sensors):
     if shared:
         return [Finding(WARNING, f'{text}, as another namespace does of {quoted(shared)}, and a frame has one place: of the bags that each robot recorded, rosrun air_ground merge_bags FLIGHT.bag '
                         'GROUND.bag BOTH.bag names the frames apart; else have each publish its own (tf_prefix)')]
-    kept = own | {frame for frame, topics in sensors.items() if any(bag_guess.with_slash(t).startswith(f'{space}/') for t in topics)}
+    kept = own | {frame for frame, topics in sensors.items() if any(with_slash(t).startswith(f'{space}/') for t in topics)}
     names = {frame: frame if frame in kept or frame not in others else f'{space[1:]}/{frame}' for frame in _frames(facts.elsewhere[space])}
     edges = {}
     for frame in sorted(own):

@@ -15,6 +15,7 @@ from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from . import bag_guess, geometry
+from .bag_topics import TRANSPORTS, recorded
 from .earlier_files import move_aside
 from .pacing import CALLER, ClockKeeper, CpuLoad, Pacer
 
@@ -91,7 +92,7 @@ class Recorder:
         """Hears how far the player of this name is: it gives no /clock while it is behind its own time, as on a busy machine. By the bag's index: stamps may be of a clock that steps."""
         self.end = bag.end
         for robot in self.robots.values():
-            robot.delay = bag.delay(bag_guess.recorded(bag, robot.image))
+            robot.delay = bag.delay(recorded(bag, robot.image))
         for name, kind in (('sensor_msgs/CameraInfo', CameraInfo), ('sensor_msgs/Imu', Imu)):
             topics = [topic for topic, of in bag.types.items() if of == name]
             if topics:
@@ -260,7 +261,7 @@ def _missing_now(bag, inputs):
     result = {}
     for argument, topic, kind in inputs:
         topic = rospy.resolve_name(topic)
-        compressed = [f'{topic}/{name}' for name in bag_guess.TRANSPORTS if f'{topic}/{name}' in bag.types]
+        compressed = [f'{topic}/{name}' for name in TRANSPORTS if f'{topic}/{name}' in bag.types]
         if otherwise := bag.defined_otherwise(topic):
             result[topic] = otherwise
             continue
