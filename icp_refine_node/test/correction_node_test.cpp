@@ -10,8 +10,8 @@ class CorrectionTest : public NodeTest {
  protected:
   /// Until the pose is refined; `aerial`: the cloud as it was published.
   void align(const synthetic::Scene& scene, sensor_msgs::PointCloud2* aerial) {
+    ASSERT_NO_FATAL_FAILURE(sendGround(scene.ground));
     *aerial = cloud(scene.aerial, "mav_map");
-    ground_.publish(cloud(scene.ground, "ground_map"));
     aerial_.publish(*aerial);
     sendCoarse(offset(scene));
     ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
@@ -140,7 +140,7 @@ TEST_F(CorrectionTest, AmbiguousNewerCloudsTakeBackNothingOfThoseThatWereLeftBeh
   tick(25);
   Cloud few;
   few.points.assign(scene.ground.points.begin(), scene.ground.points.begin() + 50);
-  ground_.publish(cloud(few, "ground_map"));
+  ASSERT_NO_FATAL_FAILURE(sendGround(few));
   aerial_.publish(cloud(scene.aerial, "mav_map"));
   sendCoarseOf(begin + 20, AlignmentEstimate::STATUS_SEARCHING);
   sendCoarseOf(begin + 5, AlignmentEstimate::STATUS_CONVERGED);

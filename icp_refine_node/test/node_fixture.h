@@ -159,8 +159,15 @@ class NodeTest : public testing::Test {
         header);
   }
 
+  /// Not only published but taken, so that what comes after meets it and not the map that a test before has left
+  /// latched.
+  void sendGround(const Cloud& ground) {
+    ground_.publish(cloud(ground, "ground_map"));
+    ASSERT_TRUE(settle());
+  }
+
   void sendScene(const synthetic::Scene& scene) {
-    ground_.publish(cloud(scene.ground, "ground_map"));
+    ASSERT_NO_FATAL_FAILURE(sendGround(scene.ground));
     aerial_.publish(cloud(scene.aerial, "mav_map"));
   }
 
