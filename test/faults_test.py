@@ -52,7 +52,7 @@ class Faults(unittest.TestCase):
         for robot in ROBOTS:
             self.live.spoil(robot)
         self.live.play(1)
-        self.expect_tracking('mav', 'ground', within=3)
+        self.expect_tracking('mav', 'ground')
         self.assertEqual([said.map_id for said in self.live.said.values()], maps)
 
     def test_3_corrupt_messages(self):

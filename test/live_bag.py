@@ -58,7 +58,9 @@ class LiveBag:
 
     def wait_for_listeners(self, timeout=60):
         end = time.monotonic() + timeout
-        while time.monotonic() < end and not all(relay.publisher.get_num_connections() for relay in self.relays.values()):
+        while deaf := [topic for topic, relay in self.relays.items() if not relay.publisher.get_num_connections()]:
+            if time.monotonic() > end:
+                raise AssertionError(f'nobody listens to {", ".join(deaf)}')
             time.sleep(0.1)
 
     def rewind(self, position):

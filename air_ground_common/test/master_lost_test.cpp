@@ -1,12 +1,16 @@
 // A node goes on when the master is gone, and is known to the next one. Runs masters of its own, and kills the first.
+#include <arpa/inet.h>
 #include <gtest/gtest.h>
+#include <netinet/in.h>
 #include <ros/ros.h>
 #include <std_msgs/Empty.h>
 #include <std_srvs/Trigger.h>
+#include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <csignal>
+#include <cstdint>
 #include <cstdlib>
 #include <optional>
 #include <set>
@@ -41,6 +45,22 @@ class Child {
  private:
   pid_t pid_;
 };
+
+/// Below those that the system hands out, and not another process's. 0: there is none.
+int freePort() {
+  constexpr int kFirst = 20000, kPorts = 10000;
+  for (int i = 0; i < kPorts; ++i) {
+    const int port = kFirst + (getpid() + i) % kPorts, listener = socket(AF_INET, SOCK_STREAM, 0);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<std::uint16_t>(port));
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    const bool is_free = bind(listener, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0;
+    close(listener);
+    if (is_free) return port;
+  }
+  return 0;
+}
 
 struct Master : Child {
   explicit Master(const std::string& port) : Child({"rosmaster", "--core", "-p", port}) {}
@@ -83,7 +103,8 @@ bool answer(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) 
 }
 
 TEST(NodeHealth, GoesOnWithoutMasterAndRegistersWithANewOne) {
-  const std::string port = std::to_string(20000 + getpid() % 10000);
+  const std::string port = std::to_string(freePort());
+  ASSERT_NE(port, "0");
   setenv("ROS_MASTER_URI", ("http://localhost:" + port).c_str(), 1);
   std::optional<Master> master(std::in_place, port);
   int argc = 0;

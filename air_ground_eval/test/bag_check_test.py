@@ -150,6 +150,13 @@ class BagCheck(unittest.TestCase):
         self.assertAlmostEqual(float(np.median(bag_camera.depths(message))), 0.5, places=3)
         self.assertEqual(bag_camera.check_depth('/depth', [message]), [])
 
+    def test_too_little_depth_is_doubtful_and_none_is_wrong(self):
+        depth = np.zeros((48, 64), np.uint16)
+        for valid, level in ((0, bag_camera.ERROR), (40, bag_camera.WARNING), (400, None)):
+            depth.flat[:valid] = 900
+            found = bag_camera.check_depth('/depth', [compressed(depth, 1, 'camera', b'', '.png', '16UC1; png compressed ')])
+            self.assertEqual([f.level for f in found], [level] if level else [], valid)
+
     def test_a_pause_is_named_once(self):
         self.assertFalse([f.text for f in self.findings(gap=True) if 'are missing at' in f.text])
 

@@ -47,9 +47,9 @@ class PublishCalibration(unittest.TestCase):
         for replay in range(2):
             master = self.begin('rosmaster', '--core', '-p', str(self.port))
             self.assertEqual(len(self.publishers()), 1, f'replay {replay}')
-            echo = subprocess.run(['rostopic', 'echo', '-n1', '/tf_static'], env=self.environment, capture_output=True, text=True, timeout=20, check=False)
+            echo = subprocess.run(['rostopic', 'echo', '-n1', '/tf_static'], env=self.environment, capture_output=True, text=True, timeout=90, check=False)
             self.assertIn('child_frame_id: "camera"', echo.stdout)
-            time.sleep(1.5)  # it looks once a second
+            time.sleep(5)  # it looks once a second, and must have seen this master before it ends
             master.kill()
             master.wait()
         self.assertIsNone(program.poll())

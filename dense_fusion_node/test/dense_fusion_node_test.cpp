@@ -266,7 +266,7 @@ TEST_F(DenseFusionNodeTest, FlushesByItselfWhenTheInputEnds) {
   // none.
   for (int attempt = 0; attempt < 5 && clouds == 0; ++attempt) {
     for (int i = 0; i < kFrames; ++i) images.publish(message(i, 700 + 10 * attempt, 1));
-    spinUntil([&] { return clouds > 0; }, 2000);
+    spinUntil([&] { return clouds > 0; });
   }
   EXPECT_GT(clouds, 0);
 }

@@ -40,7 +40,7 @@ int listen(int clouds) {
         ++heard;
         std::cout << cloud->header.stamp.toNSec() << ' ' << cloud->width * cloud->height << std::endl;
       });
-  spinUntil([&] { return heard >= clouds; }, 2000);
+  spinUntil([&] { return heard >= clouds; });
   ros_utils::pause(100);
   return 0;
 }

@@ -116,13 +116,13 @@ TEST_F(NodeTest, ACloudThatOvertakesItsOdometryWaitsForIt) {
   const std::string without = "aerial clouds without odometry";
   ASSERT_TRUE(sendGround(run));
   int in_time = 0, waited = 0;
-  for (int attempt = 0; attempt < 5; ++attempt) {
+  for (int attempt = 0; attempt < 20 && in_time < 5; ++attempt) {
     ASSERT_TRUE(diagnostics_.refresh());
     const int before = diagnostics_.counted(without);
     stamp_ += ros::Duration(2);
     const ros::WallTime begin = ros::WallTime::now();
     cloud_.publish(cloudMsg(run.aerial[0].points, "mav_map", stamp_));
-    pause(10);
+    ros::WallDuration(0.05).sleep();  // once: each time that it wakes a busy machine may be late
     sendOdometry(run.aerial[0].reference, stamp_ - ros::Duration(0.05));
     sendOdometry(run.aerial[0].reference, stamp_ + ros::Duration(0.05));
     // The node waits for 0.3 s, by the wall clock: an attempt in which this process slept tells nothing.
@@ -319,7 +319,8 @@ TEST_F(NodeTest, CloudsThatTheMavHasLeftBehindAreSearchedWhileNothingElseIsToBeD
       if (e.status == AlignmentEstimate::STATUS_CONVERGED) return &e;
     return static_cast<const AlignmentEstimate*>(nullptr);
   };
-  ASSERT_TRUE(spinUntil([&] { return found() != nullptr; }));
+  // Eight of them, with rests of four times what each takes.
+  ASSERT_TRUE(spinUntil([&] { return found() != nullptr; }, 4 * ros_utils::patience()));
   EXPECT_LE(found()->header.stamp, left);
   expectSane(*found());
   const auto error = syn::errorOf(ros_utils::fromMsg(found()->pose.pose), run.T_ground_mav[7], run.aerial[7].reference);
@@ -359,10 +360,12 @@ TEST_F(NodeTest, InitialPoseIsUsed) {
       guessAt(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()), truth * run.aerial[1].reference));
   const std::size_t before = coarse_.messages.size();
   guess_.publish(guess);
-  ASSERT_TRUE(spinUntil([&] { return coarse_.messages.size() > before; }));
-  const auto error = syn::errorOf(ros_utils::fromMsg(last().pose.pose), truth, run.aerial[1].reference);
-  EXPECT_LT(error.position, 0.3);
-  EXPECT_LT(error.yaw, 0.15);
+  // The ground map may come once more since the reset, and be answered before.
+  const auto error = [&] { return syn::errorOf(ros_utils::fromMsg(last().pose.pose), truth, run.aerial[1].reference); };
+  EXPECT_TRUE(spinUntil([&] {
+    return coarse_.messages.size() > before && error().position < 0.3 && error().yaw < 0.15;
+  })) << error().position
+      << " m, " << error().yaw << " rad";
 }
 
 TEST_F(NodeTest, InitialPoseEndsWithTheMapThatItWasAbout) {
@@ -375,7 +378,12 @@ TEST_F(NodeTest, InitialPoseEndsWithTheMapThatItWasAbout) {
   const std::size_t before = coarse_.messages.size();
   guess_.publish(guessAt(
       air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()) + 2, truth * run.aerial[0].reference)));
-  ASSERT_TRUE(spinUntil([&] { return coarse_.messages.size() > before; }));
+  // The ground map's answer, if it came once more, would have the right heading.
+  ASSERT_TRUE(spinUntil([&] {
+    return coarse_.messages.size() > before &&
+           (last().overlap == 0 ||
+            syn::errorOf(ros_utils::fromMsg(last().pose.pose), truth, run.aerial[0].reference).yaw > 1);
+  }));
   stamp_ += ros::Duration(1);
   sendStatus(2);
   ASSERT_TRUE(spinUntil([&] { return last().map_id == 2; }));

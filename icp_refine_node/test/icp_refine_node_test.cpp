@@ -129,8 +129,7 @@ TEST_F(NodeTest, AResetKeepsTheLatchedGroundMapWithoutTheMaster) {
 TEST_F(NodeTest, ABusyWorkerDropsTheOldestClouds) {
   const auto scene = synthetic::makeScene(1);
   sendScene(scene);
-  ASSERT_TRUE(refresh());
-  const int dropped = diagnostics_.counted("dense clouds dropped: refinement does not keep up");
+  const int dropped = countedNow("dense clouds dropped: refinement does not keep up");
   sendCoarse(offset(scene));
   for (int k = 0; k < 40; ++k) {  // queue_size is 4 in this test
     now_ += 1e-3;
@@ -223,8 +222,7 @@ TEST_F(NodeTest, ManualGuessNeedsNoCoarsePose) {
   Pose T = offset(scene) * T_mav_map_base;
   T.translation().z() -= 0.7;  // drawn on the plane: the height is unknown
   guess.pose.pose = ros_utils::toMsg(T);
-  ASSERT_TRUE(refresh());
-  const int before = diagnostics_.counted("initial poses without odometry");
+  const int before = countedNow("initial poses without odometry");
   guess_.publish(guess);
   ASSERT_TRUE(awaitCount("initial poses without odometry", before + 1));
   sendOdometry(T_mav_map_base);
@@ -294,8 +292,7 @@ TEST_F(NodeTest, AnotherGroundMapStartsAfresh) {
   sendCoarse(offset(scene));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
   ASSERT_TRUE(waitFor([this] { return !transforms_.empty() && anyAerialPoint(); }));
-  ASSERT_TRUE(refresh());
-  const int earlier = diagnostics_.counted("ground maps of an earlier map");
+  const int earlier = countedNow("ground maps of an earlier map");
   EXPECT_EQ(estimates_.back().ground_map_id, 1u);
   sendGroundStatus(2);
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_SEARCHING)) << lastReason();
@@ -309,8 +306,7 @@ TEST_F(NodeTest, AnotherGroundMapStartsAfresh) {
   ASSERT_TRUE(awaitCount("ground maps of an earlier map", earlier + 1));
   EXPECT_EQ(maps_.back().width * maps_.back().height, 0u);
   estimates_.clear();
-  ground_.publish(cloud(scene.ground, "ground_map"));
-  ASSERT_TRUE(settle());
+  ASSERT_NO_FATAL_FAILURE(sendGround(scene.ground));
   sendCoarse(offset(scene));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
 }
@@ -324,13 +320,15 @@ TEST_F(NodeTest, ACorrectedGroundMapIsFollowedWithinOneCloud) {
   const Eigen::Vector3d centre = scene.truth * synthetic::centroid(scene.aerial);
   std::uint32_t revision = 0;
   sendGroundStatus(1, revision);
+  const std::string corrections = "corrections of the map of the ground robot";
+  const int before = countedNow(corrections);
   for (const double direction : {0.6, 3.7}) {
     const Eigen::Vector3d step(0.5 * std::cos(direction), 0.5 * std::sin(direction), 0);
     const Pose correction = Eigen::Translation3d(centre + step) * Eigen::AngleAxisd(0.04, Eigen::Vector3d::UnitZ()) *
                             Eigen::Translation3d(-centre);
     tick(1);
     sendGroundStatus(1, ++revision);
-    ASSERT_TRUE(awaitCount("corrections of the map of the ground robot", static_cast<int>(revision)));
+    ASSERT_TRUE(awaitCount(corrections, before + static_cast<int>(revision)));
     auto corrected = cloud(transformed(scene.ground, correction), "ground_map");
     ground_.publish(corrected);
     ASSERT_TRUE(waitFor([&] { return diagnostics_.received("/ground/map_cloud", corrected.header.stamp); }));
@@ -360,7 +358,7 @@ TEST_F(NodeTest, ACorrectedGroundMapIsFollowedWithinOneCloud) {
 
 TEST_F(NodeTest, ACloudThatComesTwiceIsOne) {
   const auto scene = synthetic::makeScene(1);
-  const int before = diagnostics_.counted("dense clouds repeated");
+  const int before = countedNow("dense clouds repeated");
   const auto once = cloud(scene.aerial, "mav_map");
   aerial_.publish(once);
   aerial_.publish(once);

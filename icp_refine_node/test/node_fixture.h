@@ -130,10 +130,16 @@ class NodeTest : public testing::Test {
     return true;
   }
 
-  // True when the node's latest diagnostics are of now; they come once a second.
+  // True when the node's latest diagnostics are of now.
   bool refresh() {
     const ros::Time now(now_);
     return waitFor([&] { return diagnostics_.stamp() > now && diagnostics_.stamp().toSec() <= now_; });
+  }
+
+  // So often the node has counted the event by now.
+  int countedNow(const std::string& event) {
+    EXPECT_TRUE(refresh());
+    return diagnostics_.counted(event);
   }
 
   bool awaitCount(const std::string& event, int times) {
@@ -160,9 +166,11 @@ class NodeTest : public testing::Test {
   }
 
   /// Not only published but taken, so that what comes after meets it and not the map that a test before has left
-  /// latched.
+  /// latched; what the node still says of that one comes before.
   void sendGround(const Cloud& ground) {
-    ground_.publish(cloud(ground, "ground_map"));
+    const auto msg = cloud(ground, "ground_map");
+    ground_.publish(msg);
+    ASSERT_TRUE(waitFor([&] { return diagnostics_.received("/ground/map_cloud", msg.header.stamp); }));
     ASSERT_TRUE(settle());
   }
 

@@ -133,7 +133,7 @@ TEST_F(OwnUnitTest, AnUnbiasedScaleComesOfABiasedGuess) {
   const Similarity truth = compose(scene.truth, T_mav_visual);
   const Eigen::Vector3d centre = synthetic::centroid(visual);
 
-  ground_.publish(cloud(scene.ground, "ground_map"));
+  ASSERT_NO_FATAL_FAILURE(sendGround(scene.ground));
   aerial_.publish(cloud(visual, "mav_visual_map"));
   ASSERT_TRUE(settle());
   Similarity coarse = compose(similarity(offset(scene)), T_mav_visual);
@@ -194,7 +194,7 @@ TEST_F(OwnUnitTest, AGuessOfAnotherScaleChangesNothingWhileAPoseIsTracked) {
   const Cloud visual = transformed(scene.aerial, inverse(T_mav_visual));
   const Similarity truth = compose(scene.truth, T_mav_visual);
   const Eigen::Vector3d centre = synthetic::centroid(visual);
-  ground_.publish(cloud(scene.ground, "ground_map"));
+  ASSERT_NO_FATAL_FAILURE(sendGround(scene.ground));
   aerial_.publish(cloud(visual, "mav_visual_map"));
   ASSERT_TRUE(settle());
   coarse_.publish(similarityMessage(truth, "ground_map"));
@@ -282,19 +282,23 @@ TEST_F(OwnUnitTest, TheGroundCamerasHeightIsThatOfTheCorrectedMap) {
   const auto sendHeight = [&](double above_floor) {
     tick(1);
     const auto info = placeCamera("ground_camera_of_a_corrected_map", heightInMap(scene, above_floor));
-    pause(10);
+    pause(10);               // tf comes on a thread of its own ...
+    ASSERT_TRUE(refresh());  // ... of a node that does not stand still meanwhile
     info_.publish(info);
   };
   sendGroundStatus(1, 0);
-  sendHeight(1.5);
+  ASSERT_NO_FATAL_FAILURE(sendHeight(1.5));
   ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
-  sendHeight(0.5);
+  ASSERT_NO_FATAL_FAILURE(sendHeight(0.5));
   ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
+  const std::string corrected = "corrections of the map of the ground robot";
+  const int corrections = countedNow(corrected);
   tick(1);
   sendGroundStatus(1, 1);
+  ASSERT_TRUE(awaitCount(corrected, corrections + 1));  // forgets the height
   tick(1);
   ground_.publish(cloud(scene.ground, "ground_map"));
-  sendHeight(0.5);
+  ASSERT_NO_FATAL_FAILURE(sendHeight(0.5));
   ASSERT_TRUE(settle());
   sendCoarse(scene.T_ground_map_mav_map);
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();

@@ -166,8 +166,12 @@ TEST_F(Inputs, ASilentNodeNamesTheTopicThatHasTheImages) {
       handle_.advertise<sensor_msgs::CompressedImage>("other/mav/camera/image_raw/compressed", 1);
   ros::Publisher raw = handle_.advertise<sensor_msgs::Image>("other/mav/camera/image_raw", 1);
   ASSERT_TRUE(spinUntil([&] { return raw.getNumSubscribers() > 0 && subscribers_[1].getNumPublishers() > 2; }));
-  raw.publish(sensor_msgs::Image());  // the silence begins here
-  ros_utils::pause(20);
+  // The silence begins with one that the node has heard: what is not sent yet a shutdown drops.
+  const ros_utils::NodeDiagnostics other("other/mav_vo");
+  ASSERT_TRUE(spinUntil([&] {
+    raw.publish(sensor_msgs::Image());
+    return other.counted(raw.getTopic() + " messages") > 0;
+  }));
   raw.shutdown();
   const std::string line =
       "nothing on /other/mav/camera/image_raw for 3 s: nobody publishes it (is a remapping or a namespace wrong?), but "

@@ -12,6 +12,7 @@
 #include <tf2_msgs/TFMessage.h>
 #include <tf2_ros/static_transform_broadcaster.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 #include <set>
@@ -170,8 +171,11 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   play(duration);
 
   // States in order; never a word of metres before the scale is known.
-  ASSERT_FALSE(status_.empty());
-  EXPECT_EQ(status_.front().state, air_ground::VoStatus::STATE_INITIALIZING);
+  const auto begun = std::find_if(status_.begin(), status_.end(), [](const air_ground::VoStatus& s) {
+    return s.state != air_ground::VoStatus::STATE_WAITING;  // for calibration or mountings, on a busy machine
+  });
+  ASSERT_NE(begun, status_.end());
+  EXPECT_EQ(begun->state, air_ground::VoStatus::STATE_INITIALIZING);
   EXPECT_EQ(status_.back().state, air_ground::VoStatus::STATE_TRACKING);
   for (const auto& s : status_)
     EXPECT_TRUE(s.state == air_ground::VoStatus::STATE_TRACKING || !s.reason.empty()) << int(s.state);
@@ -288,7 +292,9 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   ASSERT_FALSE(status_.empty());
   EXPECT_GT(status_.back().map_id, first_map);
   EXPECT_EQ(status_.back().state, air_ground::VoStatus::STATE_TRACKING);
-  EXPECT_FALSE(posed_.empty() || posed_.front()->metric);
+  // One of the map before may have come late.
+  const auto posed = std::find_if(posed_.begin(), posed_.end(), [&](const auto& p) { return p->map_id > first_map; });
+  EXPECT_FALSE(posed == posed_.end() || (*posed)->metric);
   EXPECT_FALSE(odometry_.empty());
 
   // The reset service does the same.

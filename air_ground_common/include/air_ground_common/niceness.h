@@ -22,8 +22,8 @@ inline void giveWay(int niceness) {
   std::ofstream("/proc/self/autogroup") << niceness;
 }
 
-/// Sets the nice value of this thread alone, against the process's others. Where the system does not let it, nothing
-/// happens.
-inline void giveWayWithin(int niceness) { setpriority(PRIO_PROCESS, 0, niceness); }
+/// Sets the nice value of this thread alone, against the process's others, which make poses. Where the system does not
+/// let it, nothing happens.
+inline void giveWayWithin(int niceness = 10) { setpriority(PRIO_PROCESS, 0, niceness); }
 
 }  // namespace air_ground_common

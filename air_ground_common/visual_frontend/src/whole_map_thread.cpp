@@ -12,7 +12,6 @@ namespace {
 
 constexpr double kEarliest = 1.0;      // after it began, and so often it is asked for [s]
 constexpr double kPerKeyframe = 0.02;  // for which an idle desktop's core takes less [s]
-constexpr int kNiceness = 10;          // images go first
 
 }  // namespace
 
@@ -23,7 +22,7 @@ void WholeMapThread::start(BundleJob job, double stamp) {
   cancelled_ = std::make_shared<std::atomic<bool>>(false);
   job.settings.cancelled = cancelled_;
   result_ = std::async(std::launch::async, [job = std::move(job)]() mutable {
-    air_ground_common::giveWayWithin(kNiceness);
+    air_ground_common::giveWayWithin();
     job.solve();
     return std::move(job);
   });

@@ -88,6 +88,8 @@ def check_depth(topic, images, instead=''):
     images = [depth for depth in map(depths, images) if depth is not None and depth.ndim == 2]
     valid = [depth[known(depth)] for depth in images]
     shares = [len(v) / max(1, d.size) for v, d in zip(valid, images)]
+    if images and not any(shares):
+        return [Finding(ERROR, f'{topic}: none of {len(images)} images from all over the recording has any depth (projector off? lens covered?){instead}')]
     if images and np.median(shares) < 0.02:
         return [Finding(WARNING, f'{topic}: {100 * np.median(shares):.1f} % of an image has a depth, which is too few to map by{instead}')]
     medians = [np.median(v) for v in valid if len(v)]

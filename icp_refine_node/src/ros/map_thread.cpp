@@ -55,8 +55,7 @@ std::pair<std::vector<LabeledPoint>, bool> MapThread::points() {
 }
 
 void MapThread::work() {
-  constexpr int kNicenessWithin = 10;  // of the node's threads: poses go first
-  air_ground_common::giveWayWithin(kNicenessWithin);
+  air_ground_common::giveWayWithin();
   while (true) {
     std::deque<std::pair<Change, bool>> changes;
     {

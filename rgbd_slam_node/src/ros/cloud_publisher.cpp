@@ -66,8 +66,7 @@ void CloudPublisher::request(std::uint32_t map_id, const ros::Time& stamp, std::
 }
 
 void CloudPublisher::work() {
-  constexpr int kNicenessWithin = 10;  // of the node's threads: poses go first
-  air_ground_common::giveWayWithin(kNicenessWithin);
+  air_ground_common::giveWayWithin();
   GroundCloud ground(settings_);            // of fused_map
   HiddenSpace hidden;                       // likewise
   PassedSpace passed(settings_.max_range);  // likewise

@@ -6,6 +6,7 @@
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <ros/ros.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <functional>
@@ -14,9 +15,15 @@
 
 namespace air_ground_common::ros_utils {
 
+/// Turns in which what is waited for must come; more of them where a sanitizer slows the programs down.
+inline int patience() {
+  const char* slower = std::getenv("AIR_GROUND_SLOWER");
+  return 6000 * std::max(1, slower ? std::atoi(slower) : 1);
+}
+
 /// Handles callbacks until `done`. False after so many turns of 5 ms: a machine that stands still must not count as
 /// waiting.
-inline bool spinUntil(const std::function<bool()>& done, int turns = 6000) {
+inline bool spinUntil(const std::function<bool()>& done, int turns = patience()) {
   for (int i = 0; ros::ok() && i < turns; ++i) {
     ros::spinOnce();
     if (done()) return true;
