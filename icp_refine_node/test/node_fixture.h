@@ -15,6 +15,7 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <cstdio>
+#include <optional>
 #include <set>
 
 #include "air_ground_common/linear_algebra.h"
@@ -29,13 +30,23 @@ namespace icp_refine {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 
+/// Remembers the stamp of what was sent last.
+struct CloudPublisher {
+  void publish(const sensor_msgs::PointCloud2& msg) {
+    last_stamp = msg.header.stamp;
+    publisher.publish(msg);
+  }
+  ros::Publisher publisher;
+  std::optional<ros::Time> last_stamp;
+};
+
 class NodeTest : public testing::Test {
  protected:
   NodeTest() {
     clock_ = handle_.advertise<rosgraph_msgs::Clock>("/clock", 10);
     coarse_ = handle_.advertise<AlignmentEstimate>("alignment/coarse", 10);
-    aerial_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 50);
-    ground_ = handle_.advertise<sensor_msgs::PointCloud2>(
+    aerial_.publisher = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 50);
+    ground_.publisher = handle_.advertise<sensor_msgs::PointCloud2>(
         "ground/map_cloud", 10, [this](const ros::SingleSubscriberPublisher&) { ++ground_connections_; }, {}, {}, true);
     status_ = handle_.advertise<air_ground::VoStatus>("mav/vo_status", 10);
     ground_status_ = handle_.advertise<air_ground::VoStatus>("ground/slam_status", 10);
@@ -50,8 +61,9 @@ class NodeTest : public testing::Test {
 
   void SetUp() override {
     ASSERT_TRUE(waitFor([this] {
-      return clock_.getNumSubscribers() > 0 && coarse_.getNumSubscribers() > 0 && aerial_.getNumSubscribers() > 0 &&
-             ground_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 && status_.getNumSubscribers() > 0 &&
+      return clock_.getNumSubscribers() > 0 && coarse_.getNumSubscribers() > 0 &&
+             aerial_.publisher.getNumSubscribers() > 0 && ground_.publisher.getNumSubscribers() > 0 &&
+             guess_.getNumSubscribers() > 0 && status_.getNumSubscribers() > 0 &&
              ground_status_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 &&
              corrections_.getNumSubscribers() > 0 && refined_sub_.getNumPublishers() > 0 &&
              pose_sub_.getNumPublishers() > 0 && map_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
@@ -117,9 +129,14 @@ class NodeTest : public testing::Test {
 
   std::string lastReason() const { return estimates_.empty() ? "no estimate came" : estimates_.back().reason; }
 
-  // True when the node has handled what was published before this. After the first answer all that has been read; in
-  // that time what its other connections held has been read, too.
+  bool isTaken(const CloudPublisher& clouds) const {
+    return !clouds.last_stamp || diagnostics_.received(clouds.publisher.getTopic(), *clouds.last_stamp);
+  }
+
+  // True when the node has handled what was published before this: clouds, which are large, by what it says of them.
+  // After the first answer all that has been read; in that time what its other connections held has been read, too.
   bool settle() {
+    if (!waitFor([this] { return isTaken(ground_) && isTaken(aerial_); })) return false;
     for (int i = 0; i < 2; ++i) {
       pause(2);
       const std::size_t before = estimates_.size();
@@ -168,9 +185,7 @@ class NodeTest : public testing::Test {
   /// Not only published but taken, so that what comes after meets it and not the map that a test before has left
   /// latched; what the node still says of that one comes before.
   void sendGround(const Cloud& ground) {
-    const auto msg = cloud(ground, "ground_map");
-    ground_.publish(msg);
-    ASSERT_TRUE(waitFor([&] { return diagnostics_.received("/ground/map_cloud", msg.header.stamp); }));
+    ground_.publish(cloud(ground, "ground_map"));
     ASSERT_TRUE(settle());
   }
 
@@ -258,7 +273,8 @@ class NodeTest : public testing::Test {
   }
 
   ros::NodeHandle handle_;
-  ros::Publisher clock_, coarse_, aerial_, ground_, status_, ground_status_, odometry_, guess_, corrections_;
+  CloudPublisher aerial_, ground_;
+  ros::Publisher clock_, coarse_, status_, ground_status_, odometry_, guess_, corrections_;
   ros::Subscriber refined_sub_, map_sub_, pose_sub_, tf_sub_;
   ros_utils::NodeDiagnostics diagnostics_{"icp_refine"};
   std::vector<AlignmentEstimate> estimates_;
