@@ -15,7 +15,7 @@ from sensor_msgs.msg import NavSatFix
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [os.path.join(HERE, '..', 'scripts'), HERE]
 import as_module  # noqa: E402
-from air_ground_eval import bag_reader, city_database, city_evaluation, city_table, geometry, messages, track_calibration, zurich_urban  # noqa: E402
+from air_ground_eval import bag_reader, city_database, city_evaluation, city_report, city_table, evaluation, geometry, messages, track_calibration, zurich_urban  # noqa: E402
 from air_ground_eval.recording import DatasetError  # noqa: E402
 
 DURATION = 20.0
@@ -184,6 +184,33 @@ class CityEvaluation(unittest.TestCase):
         self.assertTrue(np.isnan(table['x'][0][0]))
         self.assertAlmostEqual(table['x'][0][1], 5.0)
         self.assertAlmostEqual(table['x'][1][1], np.sqrt(26))
+
+    def test_a_reference_once_a_second_tells_errors(self):
+        """As the Zurich flight's. The way is curved: in between, straight lines miss it by up to 0.13 m, and so would errors."""
+        seconds, at = np.arange(0, 21.0), np.arange(0, 20.0, 1 / 15)
+        for seconds, share in ((seconds, (0.05, 0.2)), (np.array([0.0, 20.0]), (0.0, 0.01))):
+            way = city_evaluation.Way(seconds, np.array([truth_at(t) for t in seconds]))
+            poses = np.array([truth_at(t) @ geometry.pose(None, (0.3, 0, 0.4)) for t in at])
+            statistics = city_evaluation.statistics(way, city_evaluation.estimated_from_poses(at, poses, np.tile(np.eye(6), (len(at), 1, 1))))
+            self.assertTrue(share[0] <= statistics['poses_compared'] / len(at) <= share[1], statistics)
+            if len(seconds) > 2:
+                self.assertAlmostEqual(statistics['position_error_max_m'], 0.5, delta=0.025)
+                self.assertEqual(len(city_evaluation.fix_errors(way, [city_evaluation.Fix(t, truth_at(t), np.eye(6)) for t in at])), len(at))
+
+    def test_the_report_says_how_much_its_errors_rest_on(self):
+        def notes(step, shift=0.0):
+            stamps = np.arange(0, 20.0, step) + shift
+            with tempfile.TemporaryDirectory() as folder:
+                at = np.arange(0, 20.0, 0.1)
+                tracker = city_evaluation.estimated_from_poses(at, np.array([truth_at(t) for t in at]), np.tile(np.eye(6), (len(at), 1, 1)))
+                recorded = city_report.Recorded(bag='x.bag', out=folder, begin=0.0, end=20.0, wall_time=20.0, tracker=tracker, updates=[],
+                                                truth=evaluation.Track(stamps, np.array([truth_at(t) for t in stamps])))
+                city_report.Report(recorded).build()
+                return ' '.join(recorded.notes)
+
+        self.assertEqual(notes(0.1), '')
+        self.assertIn('errors are of the 20 of 200 poses of the tracker that are near one of the ground truth, which has one every 1 s', notes(1.0))
+        self.assertIn('none is near a pose of the tracker in time', notes(0.1, shift=100.0))
 
     def test_fixes(self):
         times = np.array([0.0, 0.2])

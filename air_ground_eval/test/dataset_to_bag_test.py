@@ -314,6 +314,24 @@ class DatasetToBag(unittest.TestCase):
         truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
         np.testing.assert_allclose(truth.poses[40], geometry.pose(None, (0.01 * 40, 0, 1)) @ T_imu_camera, atol=1e-5)
 
+    def expect_gps_of_zurich(self):
+        fix = messages_of(self.bag, '/gps/fix')[0]
+        self.assertAlmostEqual(fix.latitude, 47.384345, places=6)
+        self.assertAlmostEqual(fix.longitude, 8.545037, places=6)
+        self.assertAlmostEqual(fix.altitude, 480 + 47.3, places=6)
+        self.assertAlmostEqual(fix.position_covariance[0], 2.5 ** 2)
+
+    def test_gps_of_zurich_in_degrees_and_metres(self):
+        data = os.path.join(self.folder, 'AGZ')
+        write_zurich(data)
+        path = os.path.join(data, 'Log Files', 'OnbordGPS.csv')
+        with open(path, encoding='utf-8') as stream:
+            text = stream.read()
+        with open(path, 'w', encoding='utf-8') as stream:
+            stream.write(text.replace('473843450,85450370,480000', '47.3843450,8.5450370,480.000'))
+        self.assertEqual(convert('--mav', data, '--out', self.bag).returncode, 0)
+        self.expect_gps_of_zurich()
+
     def test_zurich_urban(self):
         data = os.path.join(self.folder, 'AGZ')
         write_zurich(data)
@@ -325,10 +343,7 @@ class DatasetToBag(unittest.TestCase):
         info = messages_of(self.bag, '/mav/camera/camera_info')[0]
         self.assertTrue(np.allclose(info.K, [150, 0, 80, 0, 151, 60, 0, 0, 1]) and np.allclose(info.D, [-0.28, 0.1, 0.001, 0.002, -0.02]))
         self.assertAlmostEqual(messages_of(self.bag, '/barometer')[0].fluid_pressure, 95789.0, places=6)
-        fix = messages_of(self.bag, '/gps/fix')[0]
-        self.assertAlmostEqual(fix.latitude, 47.384345, places=6)
-        self.assertAlmostEqual(fix.altitude, 480 + 47.3, places=6)
-        self.assertAlmostEqual(fix.position_covariance[0], 2.5 ** 2)
+        self.expect_gps_of_zurich()
         imu = messages_of(self.bag, '/mav/imu/data')[0]
         self.assertAlmostEqual(imu.linear_acceleration.z, -9.81)
         facts = bag_reader.BagFacts(self.bag)

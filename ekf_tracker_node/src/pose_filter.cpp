@@ -114,6 +114,17 @@ bool isUsed(Result result) {
          result == Result::kAgreed;
 }
 
+// d x motion of a tilt d that stays for some seconds: in proportion to time, its parts are as of steps that long.
+static Eigen::Matrix3d tiltNoise(const Increment& increment) {
+  constexpr double kStays = 6;  // [s]
+  const double dt = increment.stamp - increment.previous_stamp;
+  if (!(increment.tilt_stddev > 0) || !(dt > 0)) return Eigen::Matrix3d::Zero();
+  const Eigen::Vector3d& m = increment.motion.head<3>();
+  Eigen::Matrix<double, 3, 2> J;
+  J << 0, m.z(), -m.z(), 0, m.y(), -m.x();
+  return std::pow(increment.tilt_stddev, 2) * std::max(1.0, kStays / dt) * J * J.transpose();
+}
+
 Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {
   Matrix4d noise = increment.covariance;
   if (increment.gap) return noise;
@@ -122,6 +133,7 @@ Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {
   const double steps = std::max(0.0, increment.stamp - increment.previous_stamp) * 20;
   noise.diagonal().head<3>().array() += std::pow(settings.min_translation_stddev, 2) * steps;
   noise(3, 3) += std::pow(settings.min_yaw_stddev, 2) * steps;
+  noise.topLeftCorner<3, 3>() += tiltNoise(increment);
   return noise;
 }
 

@@ -49,6 +49,24 @@ PoseFilter afterAGap() {
   return filter;
 }
 
+TEST(SensorBridge, AFixTellsTheVerticalAsWellAsItStates) {
+  geometry_msgs::PoseWithCovarianceStamped msg;
+  msg.header.stamp.fromSec(5);
+  msg.pose.pose.orientation.y = std::sin(0.1);  // nose down by 0.2 rad
+  msg.pose.pose.orientation.w = std::cos(0.1);
+  EXPECT_FALSE(SensorBridge::vertical(msg)) << "states nothing";
+  msg.pose.covariance[21] = 4e-4, msg.pose.covariance[28] = 9e-4;
+  const auto vertical = SensorBridge::vertical(msg);
+  ASSERT_TRUE(vertical);
+  EXPECT_EQ(vertical->stamp, 5);
+  EXPECT_NEAR(vertical->stddev, 0.03, 1e-9);
+  EXPECT_LT((vertical->up_base - Eigen::Vector3d(-std::sin(0.2), 0, std::cos(0.2))).norm(), 1e-9);
+  msg.pose.covariance[28] = 0.04;
+  EXPECT_FALSE(SensorBridge::vertical(msg)) << "hardly known";
+  msg.pose.covariance[28] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(SensorBridge::vertical(msg));
+}
+
 TEST(SensorBridge, WithoutUndulationGpsTellsThePlanAlone) {
   const NodeSettings unknown = settingsWith(std::nullopt);
   SensorBridge bridge(unknown, &berlin());

@@ -355,6 +355,7 @@ void tracking(const Bytes& bytes) {
   settings.declination = 0.05;
   ek::SensorBridge bridge(settings, &frame);
   ek::TiltSource tilts;
+  ek::TiltFilter filter;
   ek::Tracker tracker;
   ros::Time last(1000, 0);
   for (int messages = 0; messages < 200 && !source.empty(); ++messages) {
@@ -363,7 +364,8 @@ void tracking(const Bytes& bytes) {
     answers([&] {
       if (kind <= 2) {
         const air_ground::VoIncrement msg = incrementFrom(source, header, kind == 0 ? &last : nullptr);
-        tracker.addIncrement(bridge.increment(msg, tilts.accelerometerTiltAt(msg.header.stamp.toSec())));
+        filter.turn(msg.previous_stamp.toSec(), msg.header.stamp.toSec(), ru::fromMsg(msg.relative_pose).linear());
+        tracker.addIncrement(bridge.increment(msg, filter.at(msg.header.stamp.toSec())));
       } else if (kind == 3) {
         geometry_msgs::PoseWithCovarianceStamped msg;
         msg.header = header;
@@ -373,6 +375,7 @@ void tracking(const Bytes& bytes) {
         else
           fill(source, &msg.pose.covariance);
         tracker.addMeasurement(bridge.fix(msg));
+        if (const auto v = ek::SensorBridge::vertical(msg)) filter.addVertical(v->stamp, v->up_base, v->stddev);
       } else if (kind == 4) {
         sensor_msgs::NavSatFix msg;
         msg.header = header;
@@ -395,6 +398,7 @@ void tracking(const Bytes& bytes) {
         tilts.addPose(header.stamp.toSec(), ru::fromMsg(poseFrom(source)));
         const Eigen::Vector3d force(source.number(), source.number(), source.number());
         if (force.allFinite()) tilts.addSpecificForce(header.stamp.toSec(), force);
+        filter.addSpecificForce(header.stamp.toSec(), force);
       }
     });
     tracker.popOutcomes();

@@ -97,9 +97,9 @@ class Way:
     def distance_at(self, stamps):
         return np.interp(stamps, self.stamps, self.distance)
 
-    def at(self, stamps):
+    def at(self, stamps, max_gap=0.5):
         """Interpolated poses and a mask of the stamps that are covered."""
-        return geometry.interpolate_poses(self.stamps, self.poses, stamps)
+        return geometry.interpolate_poses(self.stamps, self.poses, stamps, max_gap)
 
 
 def wrapped(angles):
@@ -222,6 +222,7 @@ def statistics(way, estimated):
         return result
     distance = np.linalg.norm(offset, axis=1)
     result.update({
+        'poses_compared': int(len(offset)),
         'position_error_mean_m': float(np.mean(distance)), 'position_error_rms_m': float(np.sqrt(np.mean(distance ** 2))),
         'position_error_median_m': float(np.median(distance)), 'position_error_95_percent_m': float(np.quantile(distance, 0.95)),
         'position_error_max_m': float(np.max(distance)), 'position_error_at_end_m': float(distance[-1]),
@@ -247,7 +248,8 @@ def fix_errors(way, fixes):
     rows = []
     if way is None or not fixes:
         return rows
-    reference, valid = way.at(np.array([f.stamp for f in fixes]))
+    # References once a second would leave out nine fixes in ten: over such a gap an acceleration of 1 m/s^2 makes 0.13 m.
+    reference, valid = way.at(np.array([f.stamp for f in fixes]), max_gap=1.05)
     index = [0, 1, 2, 5]
     for fix, truth, known in zip(fixes, reference, valid):
         if not known:

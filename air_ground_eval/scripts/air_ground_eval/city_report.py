@@ -77,6 +77,8 @@ class Report:
                 v['tracker_start_after_m'] = float(self.distance_at(r.tracker.stamps[:1])[0])
         for name, estimated in self.sources.items():
             v.update({f'{name}_{key}': value for key, value in evaluate.statistics(way, estimated).items()})
+        if way is not None and len(r.tracker):
+            self._say_what_is_compared(way)
         self._ratios()
         self._fixes(way)
         if way is not None:
@@ -124,6 +126,13 @@ class Report:
         self.sources['tracker'] = r.tracker
         if r.magnetometer is not None and len(r.magnetometer):
             self.sources['magnetometer'] = r.magnetometer.after(start)
+
+    def _say_what_is_compared(self, way):
+        compared, spacing = self.values.get('tracker_poses_compared', 0), float(np.median(np.diff(way.stamps)))
+        if not compared:
+            self.r.notes.append(f'no errors: of the {len(way.stamps)} ground truth poses, {spacing:.2g} s apart, none is near a pose of the tracker in time')
+        elif compared < 0.5 * len(self.r.tracker):
+            self.r.notes.append(f'errors are of the {compared} of {len(self.r.tracker)} poses of the tracker that are near one of the ground truth, which has one every {spacing:.2g} s')
 
     def _ratios(self):
         v = self.values

@@ -148,7 +148,9 @@ def read_gps(logs, stamps, truth, world, notes):
     if found:
         rows = increasing(read_rows(found[0], 10))
         rows = rows[rows[:, 7] >= 3]
-        return Gps(rows[:, 0] * 1e-6, np.stack([rows[:, 2] * 1e-7, rows[:, 3] * 1e-7, rows[:, 4] * 1e-3 + world.undulation], 1), rows[:, 8:10])
+        # Its readme has 1e-7 degrees and millimetres; logs in degrees and metres go round, too.
+        degree, metre = (1.0, 1.0) if np.all(np.abs(rows[:, 2:4]) <= 180) else (1e-7, 1e-3)
+        return Gps(rows[:, 0] * 1e-6, np.column_stack([degree * rows[:, 2:4], metre * rows[:, 4] + world.undulation]), rows[:, 8:10])
     if not len(truth):
         return None
     notes.append(f'no receiver log: GPS is that beside the ground truth, one a second, its standard deviations taken as {GPS_STDDEV[0]:g} and {GPS_STDDEV[1]:g} m')

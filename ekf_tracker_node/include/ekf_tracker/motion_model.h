@@ -41,6 +41,7 @@ struct Increment {
   Matrix4d covariance = Matrix4d::Zero();  ///< of `motion`, in the same units
   bool metric = true;                      ///< false: the translation is known up to a constant factor only
   double scale_stddev = 0;                 ///< metric: standard deviation of the factor left to apply; 0 = not known
+  double tilt_stddev = 0;                  ///< of the levelling, about each horizontal axis [rad]
   unsigned map_id = 0;                     ///< changes when the odometry started afresh
   bool new_unit = false;  ///< set by the tracker: the factor has nothing to do with that of earlier increments
   bool gap = false;       ///< made by the tracker where the odometry said nothing: scale does not apply

@@ -121,7 +121,8 @@ struct State {
   bool ofOnePlace() const { return place != 0 && !several_places; }
 };
 
-/// Covariance that a step of odometry is predicted with: the stated one by the factor, and the floors.
+/// Covariance that a step of odometry is predicted with: the stated one by the factor, the floors, and what a tilt that
+/// is off does to the motion.
 Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings);
 
 class PoseFilter {

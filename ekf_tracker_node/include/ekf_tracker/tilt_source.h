@@ -32,16 +32,17 @@ class TiltSource {
 
   void clear();
 
+  /// Whether a smoothed specific force may be that of a flight with its turns and climbs.
+  static bool isGravity(const Eigen::Vector3d& force);
+
   static constexpr double kSameStamp = 1e-3;  ///< [s]
 
  private:
   static constexpr double kKept = 30;            // [s]
   static constexpr double kTiltInterval = 0.02;  // of the accelerometer's tilts kept [s]
   static constexpr double kTiltTolerance = 0.2;  // [s]
-  // The smoothed specific force of a flight with its turns and climbs [m/s^2], and how long it may lie beyond [s].
+  // [m/s^2], and how long it may lie beyond [s]
   static constexpr double kLeastGravity = 7, kMostGravity = 13, kLongestManoeuvre = 3;
-
-  static bool isGravity(const Eigen::Vector3d& force);
 
   air_ground_common::StampedBuffer<air_ground_common::Pose> poses_{kKept};
   air_ground_common::StampedBuffer<Eigen::Vector3d> ups_{kKept};  ///< specific force in the body, smoothed

@@ -67,6 +67,7 @@ void AttitudeInput::onAcceleration(const sensor_msgs::Imu::ConstPtr& msg) {
   const auto R_base_sensor = rotationFrom(msg->header.frame_id);
   if (!force.allFinite() || !R_base_sensor) return;
   tilts_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
+  filter_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
   if (tilts_.lacksGravity())
     health_.count("accelerations on " + accelerometer_.getTopic() +
                   " tell no tilt: they are not about 9.81 m/s^2. Is gravity removed, or are they in g? Have the driver "
@@ -96,20 +97,40 @@ void AttitudeInput::applyField(const sensor_msgs::MagneticField& msg) {
   if (!R_base_sensor) return;
   const double stamp = msg.header.stamp.toSec();
   const auto T_map_base = tilts_.poseAt(stamp, kFieldTolerance);
-  const auto R_level_base = T_map_base ? tiltOf(T_map_base->linear()) : tilts_.accelerometerTiltAt(stamp);
-  if (!R_level_base)
+  const auto tilt = T_map_base ? Tilt{tiltOf(T_map_base->linear()), 0} : tiltWithoutOdometry(stamp, kFieldTolerance);
+  if (!tilt)
     return health_.count("magnetometer readings ignored: no tilt from mav/odometry or the accelerometer at their time");
   try {
-    on_heading_(bridge_.heading(msg, *R_base_sensor, *R_level_base));
+    on_heading_(bridge_.heading(msg, *R_base_sensor, tilt->R_level_body));
   } catch (const std::invalid_argument& e) {
     health_.count(std::string("magnetometer readings ignored: ") + e.what());
   }
 }
 
-std::optional<Eigen::Matrix3d> AttitudeInput::tiltAt(double stamp, const std::optional<Pose>& T_map_base) const {
-  if (T_map_base) return tiltOf(T_map_base->linear());
+void AttitudeInput::turned(const air_ground::VoIncrement& msg) {
+  try {
+    const Pose T_previous_current = ru::fromMsg(msg.relative_pose);
+    filter_.turn(msg.previous_stamp.toSec(), msg.header.stamp.toSec(), T_previous_current.linear());
+  } catch (const std::invalid_argument&) {  // an increment that is none turns nothing; the tracker says so
+  }
+}
+
+void AttitudeInput::onFix(const geometry_msgs::PoseWithCovarianceStamped& msg) {
+  if (const auto vertical = SensorBridge::vertical(msg))
+    filter_.addVertical(vertical->stamp, vertical->up_base, vertical->stddev);
+}
+
+std::optional<Tilt> AttitudeInput::tiltAt(double stamp, const std::optional<Pose>& T_map_base) const {
+  if (T_map_base) return Tilt{tiltOf(T_map_base->linear()), 0};
   if (settings_.odometry_wait <= 0) return std::nullopt;
-  return tilts_.accelerometerTiltAt(stamp);
+  return tiltWithoutOdometry(stamp, TiltSource::kSameStamp);
+}
+
+std::optional<Tilt> AttitudeInput::tiltWithoutOdometry(double stamp, double tolerance) const {
+  if (const auto tilt = filter_.at(stamp, tolerance)) return tilt;
+  constexpr double kForceStddev = 0.05;  // of the accelerometer's alone: accelerations of 0.5 m/s^2 [rad]
+  if (const auto R_level_base = tilts_.accelerometerTiltAt(stamp)) return Tilt{*R_level_base, kForceStddev};
+  return std::nullopt;
 }
 
 std::optional<Eigen::Matrix3d> AttitudeInput::rotationFrom(const std::string& message_frame) {
@@ -123,6 +144,7 @@ std::optional<Eigen::Matrix3d> AttitudeInput::rotationFrom(const std::string& me
 
 void AttitudeInput::clear() {
   tilts_.clear();
+  filter_.clear();
   transforms_.clear();
   pending_fields_.clear();
 }

@@ -14,6 +14,7 @@
 
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/transform_buffer.h"
+#include "ekf_tracker/tilt_filter.h"
 #include "ekf_tracker/tilt_source.h"
 #include "sensor_bridge.h"
 
@@ -30,8 +31,11 @@ class AttitudeInput {
                 std::function<void(const Measurement&)> on_heading);
 
   const TiltSource& tilts() const { return tilts_; }
-  /// From the odometry or, without, the accelerometer; empty where neither says anything.
-  std::optional<Eigen::Matrix3d> tiltAt(double stamp, const std::optional<air_ground_common::Pose>& T_map_base) const;
+  /// The odometry's turn, in order: carries along what fixes and accelerometer tell of the vertical.
+  void turned(const air_ground::VoIncrement& msg);
+  void onFix(const geometry_msgs::PoseWithCovarianceStamped& msg);
+  /// From the odometry or, without, from the fixes and the accelerometer; empty where none says anything.
+  std::optional<Tilt> tiltAt(double stamp, const std::optional<air_ground_common::Pose>& T_map_base) const;
   /// Hands on the magnetometer's readings whose tilt is known. A reading waits, like an increment, for the odometry of
   /// its time, whose tilt is better than the accelerometer's.
   void drainFields();
@@ -42,6 +46,7 @@ class AttitudeInput {
   void onAcceleration(const sensor_msgs::Imu::ConstPtr& msg);
   void onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg);
   void applyField(const sensor_msgs::MagneticField& msg);
+  std::optional<Tilt> tiltWithoutOdometry(double stamp, double tolerance) const;
   std::optional<Eigen::Matrix3d> rotationFrom(const std::string& message_frame);
 
   const NodeSettings& settings_;
@@ -50,6 +55,7 @@ class AttitudeInput {
   const std::function<void()> on_pose_;
   const std::function<void(const Measurement&)> on_heading_;
   TiltSource tilts_;
+  TiltFilter filter_;
   air_ground_common::ros_utils::TransformBuffer transforms_;
   ros::Subscriber vo_poses_, accelerometer_, magnetometer_;
   std::deque<std::pair<sensor_msgs::MagneticField::ConstPtr, double>> pending_fields_;  ///< with their arrival [s]

@@ -46,7 +46,7 @@ class EkfTrackerNode {
             handle_, settings_, bridge_, health_, [this] { drain(); }, [this](const Measurement& m) { add(m); }),
         fixes_(
             handle_, settings_, bridge_, health_, [this] { state_.fixHeard(); },
-            [this](const Measurement& m) { add(m); }) {
+            [this](const FixInput::Message& fix) { attitude_.onFix(fix); }, [this](const Measurement& m) { add(m); }) {
     increments_ = handle_.subscribe("mav/vo_increment", 400, &EkfTrackerNode::onIncrement, this);
     // Fixes come seconds apart: their absence is told by the state, not by a watch for silence.
     health_.expectInput(increments_.getTopic());
@@ -119,15 +119,17 @@ class EkfTrackerNode {
 
   void apply(const air_ground::VoIncrement& msg, const std::optional<Pose>& T_map_base) {
     const ros::WallTime started = ros::WallTime::now();
-    const auto R_level_base = attitude_.tiltAt(msg.header.stamp.toSec(), T_map_base);
+    attitude_.turned(msg);
+    const auto tilt = attitude_.tiltAt(msg.header.stamp.toSec(), T_map_base);
     if (settings_.odometry_wait > 0 && !T_map_base)
-      health_.count(R_level_base ? "increments without mav/odometry of their stamp: tilt from the accelerometer, no tf"
-                                 : "increments without mav/odometry of their stamp, nor usable accelerations: roll and "
-                                   "pitch neglected, no tf");
+      health_.count(tilt
+                        ? "increments without mav/odometry of their stamp: tilt from fixes and accelerometer, no tf"
+                        : "increments without mav/odometry of their stamp, nor fixes or usable accelerations: roll and "
+                          "pitch neglected, no tf");
     bool replaced = false;
     IncrementResult result = IncrementResult::kInvalid;
     try {
-      result = tracker_.addIncrement(bridge_.increment(msg, R_level_base), &replaced);
+      result = tracker_.addIncrement(bridge_.increment(msg, tilt), &replaced);
     } catch (const std::invalid_argument& e) {
       return health_.count(std::string("increments ignored: ") + e.what());
     }
@@ -136,7 +138,7 @@ class EkfTrackerNode {
     state_.odometryUsed();
     health_.timing("odometry step", (ros::WallTime::now() - started).toSec());
     report_.publishPending();
-    publishPose(msg, R_level_base, T_map_base);
+    publishPose(msg, tilt, T_map_base);
   }
 
   // ---- Measurements -------------------------------------------------------------------------------------------------
@@ -178,13 +180,12 @@ class EkfTrackerNode {
 
   // ---- Output -------------------------------------------------------------------------------------------------------
 
-  void publishPose(const air_ground::VoIncrement& cause, const std::optional<Eigen::Matrix3d>& R_level_base,
+  void publishPose(const air_ground::VoIncrement& cause, const std::optional<Tilt>& tilt,
                    const std::optional<Pose>& T_map_base) {
     const double stamp = cause.header.stamp.toSec();
     const auto estimate = tracker_.latest();
     if (!estimate) return state_.unlocated(stamp, cause.metric != 0, fixes_.subscriber());
-    publisher_.publish(cause.header.stamp, *estimate, tracker_.rate(),
-                       R_level_base.value_or(Eigen::Matrix3d::Identity()), T_map_base);
+    publisher_.publish(cause.header.stamp, *estimate, tracker_.rate(), tilt.value_or(Tilt()).R_level_body, T_map_base);
     state_.tracking(*estimate, stamp, tracker_.filter().strongestHypothesis() > 1);
   }
 

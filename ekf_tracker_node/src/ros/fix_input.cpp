@@ -14,11 +14,12 @@ double steadySeconds() { return ros::SteadyTime::now().toSec(); }
 
 FixInput::FixInput(ros::NodeHandle handle, const NodeSettings& settings, const SensorBridge& bridge,
                    air_ground_common::ros_utils::NodeHealth& health, std::function<void()> on_message,
-                   std::function<void(const Measurement&)> on_fix)
+                   std::function<void(const Message&)> on_attitude, std::function<void(const Measurement&)> on_fix)
     : settings_(settings),
       bridge_(bridge),
       health_(health),
       on_message_(std::move(on_message)),
+      on_attitude_(std::move(on_attitude)),
       on_fix_(std::move(on_fix)) {
   matches_ = handle.subscribe("streetview/match", 100, &FixInput::onMatch, this);
   fixes_ = handle.subscribe("streetview/pose", 100, &FixInput::onFix, this);
@@ -29,6 +30,7 @@ void FixInput::onFix(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& m
   if (msg->header.frame_id != settings_.world_frame)
     return health_.count("fixes ignored: in frame '" + msg->header.frame_id + "', expected '" + settings_.world_frame +
                          "'");
+  on_attitude_(*msg);
   pending_.push_back({bridge_.fix(*msg), msg->header.stamp.toNSec(), steadySeconds()});
   drain();
 }

@@ -20,10 +20,13 @@ namespace ekf_tracker {
 /// its match where somebody publishes matches; without, its panorama is not known. Callbacks of one thread.
 class FixInput {
  public:
-  /// `on_message`: of each fix, as it comes; `on_fix`: when it can be used. What is given must outlive this.
+  using Message = geometry_msgs::PoseWithCovarianceStamped;
+
+  /// `on_message`: of each fix, as it comes; `on_attitude`: likewise, of those in the world's frame; `on_fix`: when it
+  /// can be used. What is given must outlive this.
   FixInput(ros::NodeHandle handle, const NodeSettings& settings, const SensorBridge& bridge,
            air_ground_common::ros_utils::NodeHealth& health, std::function<void()> on_message,
-           std::function<void(const Measurement&)> on_fix);
+           std::function<void(const Message&)> on_attitude, std::function<void(const Measurement&)> on_fix);
 
   /// Hands on the fixes that need not wait any longer.
   void drain();
@@ -44,6 +47,7 @@ class FixInput {
   const SensorBridge& bridge_;
   air_ground_common::ros_utils::NodeHealth& health_;
   const std::function<void()> on_message_;
+  const std::function<void(const Message&)> on_attitude_;
   const std::function<void(const Measurement&)> on_fix_;
   std::deque<Pending> pending_;
   std::map<std::uint64_t, unsigned> place_at_;  ///< by stamp [ns]; of the newest matches

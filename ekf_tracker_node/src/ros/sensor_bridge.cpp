@@ -124,16 +124,31 @@ Measurement SensorBridge::heading(const sensor_msgs::MagneticField& msg, const E
   return m;
 }
 
-Increment SensorBridge::increment(const air_ground::VoIncrement& msg,
-                                  const std::optional<Eigen::Matrix3d>& R_level_base) const {
+std::optional<SensorBridge::Vertical> SensorBridge::vertical(const geometry_msgs::PoseWithCovarianceStamped& msg) {
+  // Fixes of one panorama err alike; and one that knows its tilt less well than this tells none.
+  constexpr double kLeast = 0.01, kMost = 0.1;  // [rad]
+  const auto& c = msg.pose.covariance;
+  if (!(c[21] > 0) || !(c[28] > 0)) return std::nullopt;
+  const double stddev = std::sqrt(std::max(c[21], c[28]));
+  if (!(stddev < kMost)) return std::nullopt;
+  try {
+    const Pose T_world_base = ru::fromMsg(msg.pose.pose);
+    return Vertical{msg.header.stamp.toSec(), T_world_base.linear().row(2).transpose(), std::max(kLeast, stddev)};
+  } catch (const std::invalid_argument&) {
+    return std::nullopt;
+  }
+}
+
+Increment SensorBridge::increment(const air_ground::VoIncrement& msg, const std::optional<Tilt>& tilt) const {
   const Pose T_previous_current = ru::fromMsg(msg.relative_pose);
-  const Eigen::Matrix3d R_level_previous = settings_.level_increments && R_level_base
-                                               ? tiltOf(*R_level_base * T_previous_current.linear().transpose())
-                                               : Eigen::Matrix3d::Identity();
+  const bool levelled = settings_.level_increments && tilt;
+  const Eigen::Matrix3d R_level_previous =
+      levelled ? tiltOf(tilt->R_level_body * T_previous_current.linear().transpose()) : Eigen::Matrix3d::Identity();
   const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> covariance(msg.covariance.data());
   Increment increment = levelIncrement(T_previous_current, covariance, R_level_previous);
   increment.previous_stamp = msg.previous_stamp.toSec();
   increment.stamp = msg.header.stamp.toSec();
+  if (levelled) increment.tilt_stddev = tilt->stddev;
   increment.metric = msg.metric;
   increment.map_id = msg.map_id;
   if (msg.metric && std::isfinite(msg.scale_variance) && msg.scale_variance > 0)

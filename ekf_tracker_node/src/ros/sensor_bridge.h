@@ -11,6 +11,7 @@
 #include <string>
 
 #include "air_ground_common/geodesy.h"
+#include "ekf_tracker/tilt_filter.h"
 #include "ekf_tracker/tracker.h"
 #include "node_parameters.h"
 
@@ -37,8 +38,15 @@ class SensorBridge {
   bool isFieldDue(const sensor_msgs::MagneticField& msg);
   Measurement heading(const sensor_msgs::MagneticField& msg, const Eigen::Matrix3d& R_base_sensor,
                       const Eigen::Matrix3d& R_level_base) const;
-  /// `R_level_base`: tilt at the increment's end, or empty to take the increment as level.
-  Increment increment(const air_ground::VoIncrement& msg, const std::optional<Eigen::Matrix3d>& R_level_base) const;
+  /// The vertical in the base that a fix tells, by its roll and pitch; empty where it states none.
+  struct Vertical {
+    double stamp = 0;         ///< [s]
+    Eigen::Vector3d up_base;  ///< unit
+    double stddev = 0;        ///< about each horizontal axis [rad]
+  };
+  static std::optional<Vertical> vertical(const geometry_msgs::PoseWithCovarianceStamped& msg);
+  /// `tilt`: at the increment's end, or empty to take the increment as level.
+  Increment increment(const air_ground::VoIncrement& msg, const std::optional<Tilt>& tilt) const;
 
   void reset() { last_magnetometer_ = last_gps_ = last_barometer_ = std::nullopt; }
 

@@ -1,0 +1,58 @@
+// Which way is up for a MAV whose odometry tells its turns but nothing of gravity: one without IMU, or not metric yet.
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <deque>
+#include <limits>
+#include <optional>
+
+#include "air_ground_common/stamped_buffer.h"
+
+namespace ekf_tracker {
+
+/// Roll and pitch, and how well they are known.
+struct Tilt {
+  Eigen::Matrix3d R_level_body = Eigen::Matrix3d::Identity();  ///< without heading
+  double stddev = 0;                                           ///< of the vertical about each horizontal axis [rad]
+};
+
+/// A Kalman filter over the vertical in the frame of the odometry's first body, where it stands still but for the drift
+/// of the turns: measured by the attitudes of fixes, and by the accelerometer, whose accelerations in flight average
+/// out over its seconds. Measurements may come before or after the odometry of their time. Not thread-safe. Stamps in
+/// seconds.
+class TiltFilter {
+ public:
+  /// The turn of the body between two stamps, in order; what is not later than the newest is left out. One that does
+  /// not begin where the last one ended begins afresh: how the body turned meanwhile is not known.
+  void turn(double previous_stamp, double stamp, const Eigen::Matrix3d& R_previous_current);
+  /// The vertical in the body (any length) with the standard deviation of its angle about each horizontal axis [rad].
+  /// What contradicts what is known by more than three standard deviations counts less, the more it does.
+  void addVertical(double stamp, const Eigen::Vector3d& up_body, double stddev);
+  /// Specific force in the body [m/s^2].
+  void addSpecificForce(double stamp, const Eigen::Vector3d& force_body);
+
+  /// At a stamp of the odometry's last 30 s, or at most `tolerance` beside one [s]; empty while nothing is known.
+  std::optional<Tilt> at(double stamp, double tolerance = 1e-3) const;
+  void clear() { *this = TiltFilter(); }
+
+ private:
+  struct Vertical {
+    double stamp;
+    Eigen::Vector3d up_body;
+    double stddev;
+  };
+  void correct(const Vertical& measured);
+  void averageForces();
+
+  air_ground_common::StampedBuffer<Eigen::Quaterniond> R_first_body_{30};
+  Eigen::Vector3d up_first_ = Eigen::Vector3d::UnitZ();
+  double variance_ = std::numeric_limits<double>::infinity();  ///< [rad^2]
+  std::deque<Vertical> verticals_;                             ///< that wait for the odometry of their time
+  std::deque<std::pair<double, Eigen::Vector3d>> forces_;      ///< likewise, in the body
+  Eigen::Vector3d force_sum_ = Eigen::Vector3d::Zero();        ///< of the first body's axes
+  int force_count_ = 0;
+  double force_begin_ = 0;  ///< of what is summed up [s]
+};
+
+}  // namespace ekf_tracker
