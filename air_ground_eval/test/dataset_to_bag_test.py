@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Folders in the four layouts and those of TUM-VI, written here with known content, must come out of dataset_to_bag as bags that check_bag accepts."""
 import os
+import pathlib
 import subprocess
 import sys
 import tempfile
@@ -316,19 +317,13 @@ class DatasetToBag(unittest.TestCase):
 
     def expect_gps_of_zurich(self):
         fix = messages_of(self.bag, '/gps/fix')[0]
-        self.assertAlmostEqual(fix.latitude, 47.384345, places=6)
-        self.assertAlmostEqual(fix.longitude, 8.545037, places=6)
-        self.assertAlmostEqual(fix.altitude, 480 + 47.3, places=6)
-        self.assertAlmostEqual(fix.position_covariance[0], 2.5 ** 2)
+        np.testing.assert_allclose([fix.latitude, fix.longitude, fix.altitude, fix.position_covariance[0]], [47.384345, 8.545037, 480 + 47.3, 2.5 ** 2], rtol=0, atol=1e-6)
 
     def test_gps_of_zurich_in_degrees_and_metres(self):
         data = os.path.join(self.folder, 'AGZ')
         write_zurich(data)
-        path = os.path.join(data, 'Log Files', 'OnbordGPS.csv')
-        with open(path, encoding='utf-8') as stream:
-            text = stream.read()
-        with open(path, 'w', encoding='utf-8') as stream:
-            stream.write(text.replace('473843450,85450370,480000', '47.3843450,8.5450370,480.000'))
+        path = pathlib.Path(data, 'Log Files', 'OnbordGPS.csv')
+        path.write_text(path.read_text(encoding='utf-8').replace('473843450,85450370,480000', '47.3843450,8.5450370,480.000'), encoding='utf-8')
         self.assertEqual(convert('--mav', data, '--out', self.bag).returncode, 0)
         self.expect_gps_of_zurich()
 

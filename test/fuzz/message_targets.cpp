@@ -345,6 +345,17 @@ air_ground::VoIncrement incrementFrom(Source& source, const std_msgs::Header& he
   return msg;
 }
 
+geometry_msgs::PoseWithCovarianceStamped fixFrom(Source& source, const std_msgs::Header& header) {
+  geometry_msgs::PoseWithCovarianceStamped msg;
+  msg.header = header;
+  msg.pose.pose = poseFrom(source);
+  if (source.take<std::uint8_t>() % 2)
+    for (std::size_t i = 0; i < 36; i += 7) msg.pose.covariance[i] = i < 21 ? 0.1 : 0.001;
+  else
+    fill(source, &msg.pose.covariance);
+  return msg;
+}
+
 // All sensors of the tracker in any order, at any time, with anything in them.
 void tracking(const Bytes& bytes) {
   namespace ek = ekf_tracker;
@@ -367,13 +378,7 @@ void tracking(const Bytes& bytes) {
         filter.turn(msg.previous_stamp.toSec(), msg.header.stamp.toSec(), ru::fromMsg(msg.relative_pose).linear());
         tracker.addIncrement(bridge.increment(msg, filter.at(msg.header.stamp.toSec())));
       } else if (kind == 3) {
-        geometry_msgs::PoseWithCovarianceStamped msg;
-        msg.header = header;
-        msg.pose.pose = poseFrom(source);
-        if (source.take<std::uint8_t>() % 2)
-          for (std::size_t i = 0; i < 36; i += 7) msg.pose.covariance[i] = 0.1;
-        else
-          fill(source, &msg.pose.covariance);
+        const geometry_msgs::PoseWithCovarianceStamped msg = fixFrom(source, header);
         tracker.addMeasurement(bridge.fix(msg));
         if (const auto v = ek::SensorBridge::vertical(msg)) filter.addVertical(v->stamp, v->up_base, v->stddev);
       } else if (kind == 4) {
