@@ -319,13 +319,15 @@ class DatasetToBag(unittest.TestCase):
         fix = messages_of(self.bag, '/gps/fix')[0]
         np.testing.assert_allclose([fix.latitude, fix.longitude, fix.altitude, fix.position_covariance[0]], [47.384345, 8.545037, 480 + 47.3, 2.5 ** 2], rtol=0, atol=1e-6)
 
-    def test_gps_of_zurich_in_degrees_and_metres(self):
+    def test_zurich_in_degrees_and_with_views_to_the_left(self):
         data = os.path.join(self.folder, 'AGZ')
         write_zurich(data)
-        path = pathlib.Path(data, 'Log Files', 'OnbordGPS.csv')
+        path, panoramas = pathlib.Path(data, 'Log Files', 'OnbordGPS.csv'), pathlib.Path(data, 'Street View Images')
         path.write_text(path.read_text(encoding='utf-8').replace('473843450,85450370,480000', '47.3843450,8.5450370,480.000'), encoding='utf-8')
-        self.assertEqual(convert('--mav', data, '--out', self.bag).returncode, 0)
+        (panoramas / 'pano_001.jpg').rename(panoramas / 'left-001.jpg')
+        self.assertIn('look to the left', convert('--mav', data, '--out', self.bag).stdout)
         self.expect_gps_of_zurich()
+        self.assertIn('left-001.jpg,47.3843450,8.5450370,463.50,71.01', pathlib.Path(self.folder, 'out.city', 'geotags.csv').read_text(encoding='utf-8'))
 
     def test_zurich_urban(self):
         data = os.path.join(self.folder, 'AGZ')
@@ -354,8 +356,7 @@ class DatasetToBag(unittest.TestCase):
         self.assertTrue(np.allclose(truth.poses[0][:3, 1], [0, 0, -1], atol=1e-6))
         self.assertTrue(np.allclose(truth.poses[:, :3, 3], [[0, 0, 0], [0, 0, 1], [0, 0, 2]], atol=1e-3))
         city = os.path.join(self.folder, 'out.city')
-        with open(os.path.join(city, 'geotags.csv'), encoding='utf-8') as stream:
-            lines = stream.read().splitlines()
+        lines = pathlib.Path(city, 'geotags.csv').read_text(encoding='utf-8').splitlines()
         self.assertEqual(lines[0], 'image,lat,lon,alt,heading_deg')
         self.assertEqual(lines[1], 'pano_001.jpg,47.3843450,8.5450370,463.50,161.01')  # 7.5 m below the flight
         from air_ground_eval import city_database

@@ -157,7 +157,7 @@ def read_gps(logs, stamps, truth, world, notes):
     return Gps(stamps, world.geodetic(truth[:, 7:10]), np.tile(GPS_STDDEV, (len(truth), 1)))
 
 
-def read_geotags(folder, logs, truth, config):
+def read_geotags(folder, logs, truth, config, notes):
     """Lines of the CSV that build_streetview_db reads."""
     rows = read_rows(os.path.join(logs, 'StreetViewGPS.csv'), 3)
     if not len(rows) or not len(truth):
@@ -166,12 +166,17 @@ def read_geotags(folder, logs, truth, config):
     around = world.positions(np.concatenate([truth[:, 1:3], truth[:, 3:4]], 1))
     places = world.frame.from_geodetic(rows[:, 0], rows[:, 1], np.full(len(rows), truth[0, 3] + world.undulation))
     images = numbered(os.path.join(folder, PANORAMAS))
+    sides = {os.path.basename(image).lower()[:4] for image in images.values()}
+    turn = -90.0 if sides == {'left'} else 90.0 if sides == {'righ'} else 0.0
+    if turn:
+        notes.append(f'{PANORAMAS} look to the {"left" if turn < 0 else "right"}, as their names say: headings are the car\'s {turn:+.0f} degrees. Views are no panoramas: '
+                     'give build_streetview_db their calibration (--camera), and --keep-unregistered where it cannot correct their poses')
     lines = ['image,lat,lon,alt,heading_deg']
     for i, (row, place) in enumerate(zip(rows, places), 1):
         near = np.argmin(np.linalg.norm(around[:, :2] - place[:2], axis=1))
         height = truth[near, 3] - float(config.get('flight_height_m', 7.5))
         image = os.path.basename(images[i]) if i in images else f'{i:03d}.jpg'
-        lines.append(f'{image},{row[0]:.7f},{row[1]:.7f},{height:.2f},{row[2]:.2f}')
+        lines.append(f'{image},{row[0]:.7f},{row[1]:.7f},{height:.2f},{(row[2] + turn) % 360:.2f}')
     return lines
 
 
@@ -220,5 +225,5 @@ def read_zurich_urban(folder, config):
         notes.append(world.description())
         recording.city = {'crs': world.crs, 'origin': world.origin, 'geoid_undulation': world.undulation, 'geotags': 'geotags.csv',
                           'heading_reference': 'true_north', 'panoramas': os.path.abspath(os.path.join(folder, PANORAMAS))}
-        recording.geotags = read_geotags(folder, logs, truth, config)
+        recording.geotags = read_geotags(folder, logs, truth, config, notes)
     return recording

@@ -202,7 +202,12 @@ int main(int argc, char** argv) {
     built = true;
     printRemarks(report);
     printCounts(report, s.output);
-    if (!report.useful()) throw std::runtime_error("no image can be used: see the reasons above");
+    if (!report.useful())
+      throw std::runtime_error(std::string("no image can be used: see the reasons above") +
+                               (s.keep_unregistered
+                                    ? ""
+                                    : ". With --keep-unregistered those whose pose could not be corrected are used "
+                                      "with their geotags, and poses are as uncertain as these"));
   } catch (const std::exception& e) {
     if (!built) printRemarks(report);  // they may say what went wrong
     std::fprintf(stderr, "build_streetview_db: %s\n", e.what());
