@@ -325,7 +325,7 @@ class DatasetToBag(unittest.TestCase):
         path, panoramas = pathlib.Path(data, 'Log Files', 'OnbordGPS.csv'), pathlib.Path(data, 'Street View Images')
         path.write_text(path.read_text(encoding='utf-8').replace('473843450,85450370,480000', '47.3843450,8.5450370,480.000'), encoding='utf-8')
         (panoramas / 'pano_001.jpg').rename(panoramas / 'left-001.jpg')
-        self.assertIn('look to the left', convert('--mav', data, '--out', self.bag).stdout)
+        self.assertIn('look 90 degrees to the left', convert('--mav', data, '--out', self.bag).stdout)
         self.expect_gps_of_zurich()
         self.assertIn('left-001.jpg,47.3843450,8.5450370,463.50,71.01', pathlib.Path(self.folder, 'out.city', 'geotags.csv').read_text(encoding='utf-8'))
 

@@ -116,13 +116,12 @@ bool isUsed(Result result) {
 
 // d x motion of a tilt d that stays for some seconds: in proportion to time, its parts are as of steps that long.
 static Eigen::Matrix3d tiltNoise(const Increment& increment) {
-  constexpr double kStays = 6;  // [s]
   const double dt = increment.stamp - increment.previous_stamp;
   if (!(increment.tilt_stddev > 0) || !(dt > 0)) return Eigen::Matrix3d::Zero();
   const Eigen::Vector3d& m = increment.motion.head<3>();
   Eigen::Matrix<double, 3, 2> J;
   J << 0, m.z(), -m.z(), 0, m.y(), -m.x();
-  return std::pow(increment.tilt_stddev, 2) * std::max(1.0, kStays / dt) * J * J.transpose();
+  return std::pow(increment.tilt_stddev, 2) * std::max(1.0, kTiltStays / dt) * J * J.transpose();
 }
 
 Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {

@@ -237,9 +237,10 @@ std::optional<PoseEstimate> Tracker::latest() const {
 std::optional<Rate> Tracker::rate() const {
   if (steps_.empty() || !now_.started()) return std::nullopt;
   const State& s = now_.state();
-  const Increment& step = steps_.back().increment;
+  Increment step = steps_.back().increment;
   const double dt = step.stamp - step.previous_stamp;
   if (!(dt > 0)) return std::nullopt;
+  step.tilt_stddev *= std::sqrt(std::min(1.0, dt / kTiltStays));  // of this step alone
   Vector4d unit;
   unit << Eigen::Vector3d::Constant(s.scale_known ? s.x[4] / dt : 0), 1 / dt;
   Rate rate;

@@ -60,11 +60,28 @@ TEST(SensorBridge, AFixTellsTheVerticalAsWellAsItStates) {
   ASSERT_TRUE(vertical);
   EXPECT_EQ(vertical->stamp, 5);
   EXPECT_NEAR(vertical->stddev, 0.03, 1e-9);
-  EXPECT_LT((vertical->up_base - Eigen::Vector3d(-std::sin(0.2), 0, std::cos(0.2))).norm(), 1e-9);
+  EXPECT_LT((vertical->up_body - Eigen::Vector3d(-std::sin(0.2), 0, std::cos(0.2))).norm(), 1e-9);
+  msg.pose.covariance[28] = 4e-4, msg.pose.covariance[22] = msg.pose.covariance[27] = 3e-4;
+  EXPECT_NEAR(SensorBridge::vertical(msg)->stddev, std::sqrt(7e-4), 1e-9) << "the worst direction";
   msg.pose.covariance[28] = 0.04;
   EXPECT_FALSE(SensorBridge::vertical(msg)) << "hardly known";
   msg.pose.covariance[28] = std::numeric_limits<double>::quiet_NaN();
   EXPECT_FALSE(SensorBridge::vertical(msg));
+}
+
+TEST(SensorBridge, AnIncrementKnowsHowWellItIsLevelled) {
+  air_ground::VoIncrement msg;
+  msg.header.stamp.fromSec(1);
+  msg.relative_pose.position.x = 1;
+  msg.relative_pose.orientation.w = 1;
+  const Tilt tilt{Eigen::AngleAxisd(-0.2, Eigen::Vector3d::UnitY()).toRotationMatrix(), 0.02};  // nose up
+  for (const bool body : {true, false}) {
+    NodeSettings settings;
+    settings.level_increments = body;
+    const Increment increment = SensorBridge(settings, nullptr).increment(msg, tilt);
+    EXPECT_EQ(increment.tilt_stddev, body ? 0.02 : 0);
+    EXPECT_NEAR(increment.motion.z(), body ? std::sin(0.2) : 0, 1e-9);
+  }
 }
 
 TEST(SensorBridge, WithoutUndulationGpsTellsThePlanAlone) {

@@ -100,7 +100,8 @@ bool Odometry::Impl::givesUp() const {
 
 std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu)
-    return "no IMU: lengths are in the map's own unit until the alignment, or fixes in a city, tell it";
+    return "no IMU: lengths are in the map's own unit until the alignment tells it (in a city the tracker finds the "
+           "scale)";
   if (!imu_problem.empty()) return imu_problem;
   if (!imu.coverageProblem().empty()) return "metric scale is not known: " + imu.coverageProblem();
   if (const std::string problem = imu.problem(); !problem.empty()) return problem;

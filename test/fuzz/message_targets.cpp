@@ -376,11 +376,13 @@ void tracking(const Bytes& bytes) {
       if (kind <= 2) {
         const air_ground::VoIncrement msg = incrementFrom(source, header, kind == 0 ? &last : nullptr);
         filter.turn(msg.previous_stamp.toSec(), msg.header.stamp.toSec(), ru::fromMsg(msg.relative_pose).linear());
-        tracker.addIncrement(bridge.increment(msg, filter.at(msg.header.stamp.toSec())));
+        auto tilt = filter.at(msg.header.stamp.toSec());
+        if (const auto R = tilts.accelerometerTiltAt(msg.header.stamp.toSec()); R && !tilt) tilt = ek::Tilt{*R, 0.05};
+        tracker.addIncrement(bridge.increment(msg, tilt));
       } else if (kind == 3) {
         const geometry_msgs::PoseWithCovarianceStamped msg = fixFrom(source, header);
         tracker.addMeasurement(bridge.fix(msg));
-        if (const auto v = ek::SensorBridge::vertical(msg)) filter.addVertical(v->stamp, v->up_base, v->stddev);
+        if (const auto vertical = ek::SensorBridge::vertical(msg)) filter.addVertical(*vertical);
       } else if (kind == 4) {
         sensor_msgs::NavSatFix msg;
         msg.header = header;

@@ -99,6 +99,8 @@ class Way:
 
     def at(self, stamps, max_gap=0.5):
         """Interpolated poses and a mask of the stamps that are covered."""
+        if len(self.stamps) < 2:
+            return np.tile(np.eye(4), (len(stamps), 1, 1)), np.zeros(len(stamps), bool)
         return geometry.interpolate_poses(self.stamps, self.poses, stamps, max_gap)
 
 
@@ -248,14 +250,16 @@ def fix_errors(way, fixes):
     rows = []
     if way is None or not fixes:
         return rows
-    # References once a second would leave out nine fixes in ten: over such a gap an acceleration of 1 m/s^2 makes 0.13 m.
-    reference, valid = way.at(np.array([f.stamp for f in fixes]), max_gap=1.05)
+    # References once a second would leave out nine fixes in ten: over such a gap an acceleration of 1 m/s^2 makes 0.13 m, but a turn many degrees.
+    stamps = np.array([f.stamp for f in fixes])
+    reference, valid = way.at(stamps, max_gap=1.05)
+    _, turns = way.at(stamps)
     index = [0, 1, 2, 5]
-    for fix, truth, known in zip(fixes, reference, valid):
+    for fix, truth, known, turn_known in zip(fixes, reference, valid, turns):
         if not known:
             continue
         offset = fix.pose[:3, 3] - truth[:3, 3]
-        yaw = float(wrapped(yaw_of(fix.pose) - yaw_of(truth)))
+        yaw = float(wrapped(yaw_of(fix.pose) - yaw_of(truth))) if turn_known else float('nan')
         e = np.append(offset, yaw)
         try:
             normalised = float(e @ np.linalg.solve(fix.covariance[np.ix_(index, index)], e))

@@ -104,7 +104,8 @@ class Report:
             return
         start = r.tracker.stamps[0]
         first = np.append(r.tracker.positions[0], r.tracker.yaws[0])
-        attitudes = {stamp: T[:3, :3] for stamp, T in r.attitudes.items()}
+        # Without mav/odometry (a MAV without IMU) as the tracker levels it.
+        attitudes = {stamp: T[:3, :3] for stamp, T in (r.attitudes.items() if r.attitudes else zip(r.tracker.stamps, r.tracker.poses))}
         self.values['tracker_coverage_since_start_percent'] = 100 * coverage(r.tracker.stamps, start, r.end)
         increments, gap = evaluate.unbroken(r.increments, start)
         if gap:
@@ -128,7 +129,7 @@ class Report:
             self.sources['magnetometer'] = r.magnetometer.after(start)
 
     def _say_what_is_compared(self, way):
-        compared, spacing = self.values.get('tracker_poses_compared', 0), float(np.median(np.diff(way.stamps)))
+        compared, spacing = self.values.get('tracker_poses_compared', 0), float(np.median(np.diff(way.stamps))) if len(way.stamps) > 1 else 0.0
         if not compared:
             self.r.notes.append(f'no errors: of the {len(way.stamps)} ground truth poses, {spacing:.2g} s apart, none is near a pose of the tracker in time')
         elif compared < 0.5 * len(self.r.tracker):
@@ -168,6 +169,7 @@ class Report:
         if rows:
             position = np.array([row['position_m'] for row in rows])
             yaw = np.degrees([row['yaw_rad'] for row in rows])
+            yaw = yaw[np.isfinite(yaw)] if np.any(np.isfinite(yaw)) else np.full(1, np.nan)
             v.update({'fix_position_error_median_m': float(np.median(position)), 'fix_position_error_95_percent_m': float(np.quantile(position, 0.95)),
                       'fix_position_error_max_m': float(position.max()), 'fix_yaw_error_median_deg': float(np.median(yaw)),
                       'fix_yaw_error_max_deg': float(yaw.max()), 'fix_normalised_error_squared_mean': float(np.nanmean([row['normalised'] for row in rows])),

@@ -6,6 +6,7 @@ first pose, in the ground truth's UTM; with `crs` alone there too, but in that s
 
 - The IMU's mounting. The readings are the autopilot's, x ahead, y right, z down; the camera looks to the vehicle's left (it flies to the camera's
   right all along). `imu_from_camera` of the calibration file (translation_m, quaternion_xyzw) replaces that.
+- Where views of the panoramas look: `left...` to the left of the headings in StreetViewGPS.csv; `view_turn_deg` of the calibration file replaces that.
 - Heights of the panoramas: the nearest true position of the MAV less `flight_height_m`.
 - The tilts of the Street View images: their sign is not described, so they are left out.
 """
@@ -149,7 +150,7 @@ def read_gps(logs, stamps, truth, world, notes):
         rows = increasing(read_rows(found[0], 10))
         rows = rows[rows[:, 7] >= 3]
         # Its readme has 1e-7 degrees and millimetres; logs in degrees and metres go round, too.
-        degree, metre = (1.0, 1.0) if np.all(np.abs(rows[:, 2:4]) <= 180) else (1e-7, 1e-3)
+        degree, metre = (1.0, 1.0) if len(rows) and np.median(np.abs(rows[:, 2:4])) <= 180 else (1e-7, 1e-3)
         return Gps(rows[:, 0] * 1e-6, np.column_stack([degree * rows[:, 2:4], metre * rows[:, 4] + world.undulation]), rows[:, 8:10])
     if not len(truth):
         return None
@@ -167,16 +168,16 @@ def read_geotags(folder, logs, truth, config, notes):
     places = world.frame.from_geodetic(rows[:, 0], rows[:, 1], np.full(len(rows), truth[0, 3] + world.undulation))
     images = numbered(os.path.join(folder, PANORAMAS))
     sides = {os.path.basename(image).lower()[:4] for image in images.values()}
-    turn = -90.0 if sides == {'left'} else 90.0 if sides == {'righ'} else 0.0
+    turn = float(config.get('view_turn_deg', 90.0 if sides == {'left'} else -90.0 if sides == {'righ'} else 0.0))  # to the left
     if turn:
-        notes.append(f'{PANORAMAS} look to the {"left" if turn < 0 else "right"}, as their names say: headings are the car\'s {turn:+.0f} degrees. Views are no panoramas: '
-                     'give build_streetview_db their calibration (--camera), and --keep-unregistered where it cannot correct their poses')
+        notes.append(f'{PANORAMAS} taken to look {abs(turn):g} degrees to the {"left" if turn > 0 else "right"} of the headings in StreetViewGPS.csv, as their names say '
+                     '(view_turn_deg of --config states another angle to the left). Views are no panoramas: give build_streetview_db their calibration (--camera), and --keep-unregistered where it cannot correct their poses')
     lines = ['image,lat,lon,alt,heading_deg']
     for i, (row, place) in enumerate(zip(rows, places), 1):
         near = np.argmin(np.linalg.norm(around[:, :2] - place[:2], axis=1))
         height = truth[near, 3] - float(config.get('flight_height_m', 7.5))
         image = os.path.basename(images[i]) if i in images else f'{i:03d}.jpg'
-        lines.append(f'{image},{row[0]:.7f},{row[1]:.7f},{height:.2f},{(row[2] + turn) % 360:.2f}')
+        lines.append(f'{image},{row[0]:.7f},{row[1]:.7f},{height:.2f},{(row[2] - turn) % 360:.2f}')
     return lines
 
 

@@ -32,6 +32,9 @@ struct MotionJacobians {
 };
 MotionJacobians motionJacobians(const Vector4d& q, const Vector4d& increment, double scale);
 
+/// A tilt that is off stays so for about this long [s].
+constexpr double kTiltStays = 20;
+
 /// One step of visual odometry (equation 4): what happened between two stamps.
 struct Increment {
   double previous_stamp = 0;  ///< [s]

@@ -99,7 +99,8 @@ void AttitudeInput::applyField(const sensor_msgs::MagneticField& msg) {
   const auto T_map_base = tilts_.poseAt(stamp, kFieldTolerance);
   const auto tilt = T_map_base ? Tilt{tiltOf(T_map_base->linear()), 0} : tiltWithoutOdometry(stamp, kFieldTolerance);
   if (!tilt)
-    return health_.count("magnetometer readings ignored: no tilt from mav/odometry or the accelerometer at their time");
+    return health_.count(
+        "magnetometer readings ignored: no tilt from mav/odometry, fixes or the accelerometer at their time");
   try {
     on_heading_(bridge_.heading(msg, *R_base_sensor, tilt->R_level_body));
   } catch (const std::invalid_argument& e) {
@@ -108,6 +109,7 @@ void AttitudeInput::applyField(const sensor_msgs::MagneticField& msg) {
 }
 
 void AttitudeInput::turned(const air_ground::VoIncrement& msg) {
+  if (!settings_.level_increments) return;  // they hold no roll and pitch
   try {
     const Pose T_previous_current = ru::fromMsg(msg.relative_pose);
     filter_.turn(msg.previous_stamp.toSec(), msg.header.stamp.toSec(), T_previous_current.linear());
@@ -116,8 +118,7 @@ void AttitudeInput::turned(const air_ground::VoIncrement& msg) {
 }
 
 void AttitudeInput::onFix(const geometry_msgs::PoseWithCovarianceStamped& msg) {
-  if (const auto vertical = SensorBridge::vertical(msg))
-    filter_.addVertical(vertical->stamp, vertical->up_base, vertical->stddev);
+  if (const auto vertical = SensorBridge::vertical(msg)) filter_.addVertical(*vertical);
 }
 
 std::optional<Tilt> AttitudeInput::tiltAt(double stamp, const std::optional<Pose>& T_map_base) const {

@@ -120,12 +120,14 @@ class EkfTrackerNode {
   void apply(const air_ground::VoIncrement& msg, const std::optional<Pose>& T_map_base) {
     const ros::WallTime started = ros::WallTime::now();
     attitude_.turned(msg);
-    const auto tilt = attitude_.tiltAt(msg.header.stamp.toSec(), T_map_base);
+    auto tilt = attitude_.tiltAt(msg.header.stamp.toSec(), T_map_base);
     if (settings_.odometry_wait > 0 && !T_map_base)
       health_.count(tilt
                         ? "increments without mav/odometry of their stamp: tilt from fixes and accelerometer, no tf"
                         : "increments without mav/odometry of their stamp, nor fixes or usable accelerations: roll and "
                           "pitch neglected, no tf");
+    constexpr double kNeglected = 0.15;  // of the roll and pitch of a MAV in flight [rad]
+    if (settings_.odometry_wait > 0 && !tilt) tilt = Tilt{Eigen::Matrix3d::Identity(), kNeglected};
     bool replaced = false;
     IncrementResult result = IncrementResult::kInvalid;
     try {
@@ -185,7 +187,7 @@ class EkfTrackerNode {
     const double stamp = cause.header.stamp.toSec();
     const auto estimate = tracker_.latest();
     if (!estimate) return state_.unlocated(stamp, cause.metric != 0, fixes_.subscriber());
-    publisher_.publish(cause.header.stamp, *estimate, tracker_.rate(), tilt.value_or(Tilt()).R_level_body, T_map_base);
+    publisher_.publish(cause.header.stamp, *estimate, tracker_.rate(), tilt.value_or(Tilt()), T_map_base);
     state_.tracking(*estimate, stamp, tracker_.filter().strongestHypothesis() > 1);
   }
 

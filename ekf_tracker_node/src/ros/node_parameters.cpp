@@ -44,7 +44,8 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("path_step", s.path_step, {0.01, 100}, "m",
     "tracked/path gains a pose after this distance; doubled whenever it holds 5000");
   v("tilt_stddev", s.tilt_stddev, {0.001, 1}, "rad",
-    "roll and pitch in the published covariance; they come from mav/odometry");
+    "roll and pitch in the published covariance, at least; they come from mav/odometry, without it from the fixes and "
+    "the accelerometer, and the deviation is theirs where it is larger");
 
   v.section("Where `world` lies (for tracked/geodetic and gps/fix)");
   v("origin_crs", s.origin_crs,
@@ -60,7 +61,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
            "body: relative_pose is in the tilted body, levelled here; level: it is level already");
   v("odometry_wait", s.odometry_wait, {0, 60}, "s",
     "an increment waits so long (wall time) for mav/odometry of its stamp, for tilt and tf; one that is not metric "
-    "only while mav/odometry comes. Without it the accelerometer gives the tilt. 0: neither is used, roll and pitch "
+    "only while mav/odometry comes. Without it fixes and accelerometer give the tilt. 0: none is used, roll and pitch "
     "are neglected as in the paper, and there is no tf");
   v("accel_topic", s.accel_topic,
     "sensor_msgs/Imu of an accelerometer that has a topic of its own (launch argument mav_imu_accel); \"\" = in the "

@@ -38,13 +38,8 @@ class SensorBridge {
   bool isFieldDue(const sensor_msgs::MagneticField& msg);
   Measurement heading(const sensor_msgs::MagneticField& msg, const Eigen::Matrix3d& R_base_sensor,
                       const Eigen::Matrix3d& R_level_base) const;
-  /// The vertical in the base that a fix tells, by its roll and pitch; empty where it states none.
-  struct Vertical {
-    double stamp = 0;         ///< [s]
-    Eigen::Vector3d up_base;  ///< unit
-    double stddev = 0;        ///< about each horizontal axis [rad]
-  };
-  static std::optional<Vertical> vertical(const geometry_msgs::PoseWithCovarianceStamped& msg);
+  /// What a fix tells by its roll and pitch; empty where it states none.
+  static std::optional<TiltFilter::Vertical> vertical(const geometry_msgs::PoseWithCovarianceStamped& msg);
   /// `tilt`: at the increment's end, or empty to take the increment as level.
   Increment increment(const air_ground::VoIncrement& msg, const std::optional<Tilt>& tilt) const;
 

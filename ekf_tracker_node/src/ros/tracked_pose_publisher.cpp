@@ -2,6 +2,7 @@
 
 #include <sensor_msgs/NavSatFix.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "air_ground_common/ros/conversions.h"
@@ -52,10 +53,10 @@ TrackedPosePublisher::TrackedPosePublisher(ros::NodeHandle handle, const NodeSet
 }
 
 void TrackedPosePublisher::publish(const ros::Time& stamp, const PoseEstimate& estimate,
-                                   const std::optional<Rate>& rate, const Eigen::Matrix3d& R_level_base,
+                                   const std::optional<Rate>& rate, const Tilt& tilt,
                                    const std::optional<Pose>& T_map_base) {
   Pose T_world_base = air_ground_common::yawPose(estimate.pose[3], estimate.pose.head<3>());
-  T_world_base.linear() = T_world_base.linear() * R_level_base;
+  T_world_base.linear() = T_world_base.linear() * tilt.R_level_body;
 
   nav_msgs::Odometry odometry;
   odometry.header.stamp = stamp;
@@ -64,9 +65,9 @@ void TrackedPosePublisher::publish(const ros::Time& stamp, const PoseEstimate& e
   odometry.pose.pose = ru::toMsg(T_world_base);
   Matrix6d covariance = Matrix6d::Zero();
   insert(estimate.covariance, &covariance);
-  covariance(3, 3) = covariance(4, 4) = std::pow(settings_.tilt_stddev, 2);
+  covariance(3, 3) = covariance(4, 4) = std::pow(std::max(settings_.tilt_stddev, tilt.stddev), 2);
   ru::setCovariance(covariance, &odometry.pose.covariance);
-  odometry.twist = twistOf(rate, R_level_base);
+  odometry.twist = twistOf(rate, tilt.R_level_body);
   odometry_.publish(odometry);
 
   if (settings_.publish_tf && T_map_base) publishEdge(odometry.header, estimate, *T_map_base);

@@ -11,6 +11,7 @@
 #include "air_ground_common/geodesy.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "air_ground_common/trajectory.h"
+#include "ekf_tracker/tilt_filter.h"
 #include "ekf_tracker/tracker.h"
 #include "node_parameters.h"
 
@@ -22,10 +23,10 @@ class TrackedPosePublisher {
   TrackedPosePublisher(ros::NodeHandle handle, const NodeSettings& settings,
                        const air_ground_common::LocalFrame* frame);
 
-  /// `rate`: of the last step; `R_level_base`: roll and pitch of the base; `T_map_base`: its pose by the odometry at
+  /// `rate`: of the last step; `tilt`: of the base; `T_map_base`: its pose by the odometry at
   /// this stamp, without which there is no tf.
-  void publish(const ros::Time& stamp, const PoseEstimate& estimate, const std::optional<Rate>& rate,
-               const Eigen::Matrix3d& R_level_base, const std::optional<air_ground_common::Pose>& T_map_base);
+  void publish(const ros::Time& stamp, const PoseEstimate& estimate, const std::optional<Rate>& rate, const Tilt& tilt,
+               const std::optional<air_ground_common::Pose>& T_map_base);
   void publish(const Outcome& outcome, const Tracker& tracker);
 
   /// Poses of the base in the world since the last reset.

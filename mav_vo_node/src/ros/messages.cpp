@@ -36,8 +36,8 @@ std::string adviceFor(OdometryState state, bool use_imu) {
       return "move the camera sideways over a scene with texture, sharp and well lit";
     case OdometryState::kScaling:
       return use_imu ? "accelerate the vehicle for some seconds"
-                     : "fly over what the ground robot has seen, and turn, which tells what is level (in a city the "
-                       "localizer tells the scale: nothing is to be done)";
+                     : "fly over what the ground robot has seen, and turn, which tells what is level (in a city "
+                       "nothing is to be done)";
     case OdometryState::kLost:
       return "bring the camera back to where it has been, or to another one: a new map begins there after lost_timeout";
     default:
