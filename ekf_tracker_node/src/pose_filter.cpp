@@ -77,6 +77,16 @@ void update(State* state, const Observation& h, const Small& v, const SmallMatri
   symmetrise(&p);
 }
 
+// d x motion of a tilt d that stays for some seconds: in proportion to time, its parts are as of steps that long.
+Eigen::Matrix3d tiltNoise(const Increment& increment) {
+  const double dt = increment.stamp - increment.previous_stamp;
+  if (!(increment.tilt_stddev > 0) || !(dt > 0)) return Eigen::Matrix3d::Zero();
+  const Eigen::Vector3d& m = increment.motion.head<3>();
+  Eigen::Matrix<double, 3, 2> J;
+  J << 0, m.z(), -m.z(), 0, m.y(), -m.x();
+  return std::pow(increment.tilt_stddev, 2) * std::max(1.0, kTiltStays / dt) * J * J.transpose();
+}
+
 }  // namespace
 
 double chiSquareQuantile(int dof, double p) { return boost::math::quantile(boost::math::chi_squared(dof), p); }
@@ -112,16 +122,6 @@ const char* describe(Result result) {
 bool isUsed(Result result) {
   return result == Result::kFused || result == Result::kInitialised || result == Result::kRecovered ||
          result == Result::kAgreed;
-}
-
-// d x motion of a tilt d that stays for some seconds: in proportion to time, its parts are as of steps that long.
-static Eigen::Matrix3d tiltNoise(const Increment& increment) {
-  const double dt = increment.stamp - increment.previous_stamp;
-  if (!(increment.tilt_stddev > 0) || !(dt > 0)) return Eigen::Matrix3d::Zero();
-  const Eigen::Vector3d& m = increment.motion.head<3>();
-  Eigen::Matrix<double, 3, 2> J;
-  J << 0, m.z(), -m.z(), 0, m.y(), -m.x();
-  return std::pow(increment.tilt_stddev, 2) * std::max(1.0, kTiltStays / dt) * J * J.transpose();
 }
 
 Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {

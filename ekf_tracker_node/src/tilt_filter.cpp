@@ -64,7 +64,7 @@ void TiltFilter::correctByFix(const Vertical& vertical) {
   const Eigen::Quaterniond* R = R_first_body_.nearest(vertical.stamp, TiltSource::kSameStamp);
   if (!R) return;
   const Eigen::Vector3d up = *R * vertical.up_body.normalized();
-  const double variance = vertical.stddev * vertical.stddev;
+  const double variance = std::pow(std::max(kLeast, vertical.stddev), 2);
   if (std::isfinite(variance_) && nis(up, variance) > kGate) {
     if (++contradictions_ == kInARow) set(up, variance, 0);
     return;
@@ -74,7 +74,7 @@ void TiltFilter::correctByFix(const Vertical& vertical) {
 }
 
 void TiltFilter::correctByForces() {
-  constexpr double kVariance = 0.05 * 0.05;  // 0.5 m/s^2 that do not average out in that time [rad^2]
+  constexpr double kVariance = kForceStddev * kForceStddev;
   for (; !forces_.empty() && forces_.front().first <= R_first_body_.newest(); forces_.pop_front()) {
     const auto& [stamp, force_body] = forces_.front();
     const Eigen::Quaterniond* R = R_first_body_.nearest(stamp, kForceTolerance);
@@ -96,9 +96,12 @@ void TiltFilter::correctByForces() {
   }
 }
 
+double TiltFilter::angleTo(const Eigen::Vector3d& up_first) const {
+  return std::acos(std::clamp(up_first.dot(up_first_), -1.0, 1.0));
+}
+
 double TiltFilter::nis(const Eigen::Vector3d& up_first, double variance) const {
-  const double angle = std::acos(std::clamp(up_first.dot(up_first_), -1.0, 1.0));
-  return angle * angle / (variance_ + std::pow(kBias * force_share_, 2) + variance);
+  return std::pow(angleTo(up_first), 2) / (variance_ + std::pow(kBias * force_share_, 2) + variance);
 }
 
 void TiltFilter::set(const Eigen::Vector3d& up_first, double variance, double force_share) {
@@ -114,10 +117,7 @@ void TiltFilter::correct(const Eigen::Vector3d& up_first, double variance, doubl
   const double known = variance_ + std::pow(kBias * std::max(0.0, force_share_ - force_share), 2);
   const double gain = known / (known + variance);
   const Eigen::Vector3d axis = up_first_.cross(up_first);
-  if (axis.norm() > 1e-9) {
-    const double angle = std::acos(std::clamp(up_first.dot(up_first_), -1.0, 1.0));
-    up_first_ = Eigen::AngleAxisd(gain * angle, axis.normalized()) * up_first_;
-  }
+  if (axis.norm() > 1e-9) up_first_ = Eigen::AngleAxisd(gain * angleTo(up_first), axis.normalized()) * up_first_;
   variance_ = std::pow(1 - gain, 2) * variance_ + gain * gain * variance;
   force_share_ += gain * (force_share - force_share_);
 }

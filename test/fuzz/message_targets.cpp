@@ -377,7 +377,8 @@ void tracking(const Bytes& bytes) {
         const air_ground::VoIncrement msg = incrementFrom(source, header, kind == 0 ? &last : nullptr);
         filter.turn(msg.previous_stamp.toSec(), msg.header.stamp.toSec(), ru::fromMsg(msg.relative_pose).linear());
         auto tilt = filter.at(msg.header.stamp.toSec());
-        if (const auto R = tilts.accelerometerTiltAt(msg.header.stamp.toSec()); R && !tilt) tilt = ek::Tilt{*R, 0.05};
+        if (const auto R = tilts.accelerometerTiltAt(msg.header.stamp.toSec()); R && !tilt)
+          tilt = ek::Tilt{*R, ek::TiltFilter::kForceStddev};
         tracker.addIncrement(bridge.increment(msg, tilt));
       } else if (kind == 3) {
         const geometry_msgs::PoseWithCovarianceStamped msg = fixFrom(source, header);

@@ -27,8 +27,6 @@ class Track:
 
     def at(self, stamps, max_gap=0.5):
         """Interpolated poses and a mask of the stamps that the track covers."""
-        if len(self.stamps) < 2:
-            return np.tile(np.eye(4), (len(stamps), 1, 1)), np.zeros(len(stamps), bool)
         return geometry.interpolate_poses(self.stamps, self.poses, stamps, max_gap)
 
 

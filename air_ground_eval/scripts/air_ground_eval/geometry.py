@@ -99,10 +99,12 @@ def leveling_rotation(up):
 def interpolate_poses(stamps, transforms, query, max_gap=0.5):
     """Poses at `query` stamps: positions linear, attitudes at constant turn rate between neighbours.
 
-    Returns (poses (n, 4, 4), valid (n,)); invalid outside the range and across gaps longer than max_gap [s], but where a neighbour is so near that
+    Returns (poses (n, 4, 4), valid (n,)); invalid outside the range, with fewer than two stamps, and across gaps longer than max_gap [s], but where a neighbour is so near that
     an acceleration of 1 m/s^2 in between makes less than 25 mm: poses once a second are references for what lies within 0.05 s of them.
     """
     stamps, query, transforms = np.asarray(stamps, float), np.asarray(query, float), np.asarray(transforms, float)
+    if len(stamps) < 2:
+        return np.tile(np.eye(4), (len(query), 1, 1)), np.zeros(len(query), bool)
     i = np.clip(np.searchsorted(stamps, query, side='right') - 1, 0, len(stamps) - 2)
     gap = stamps[i + 1] - stamps[i]
     near = np.minimum(query - stamps[i], stamps[i + 1] - query) * gap <= 0.05  # [s^2]: twice 25 mm over 1 m/s^2

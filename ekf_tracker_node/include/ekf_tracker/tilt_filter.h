@@ -25,6 +25,9 @@ struct Tilt {
 /// thread-safe. Stamps in seconds.
 class TiltFilter {
  public:
+  /// Of a vertical by the accelerometer: accelerations of 0.5 m/s^2 [rad].
+  static constexpr double kForceStddev = 0.05;
+
   /// That of a fix.
   struct Vertical {
     double stamp = 0;                                    ///< [s]
@@ -35,8 +38,8 @@ class TiltFilter {
   /// The turn of the body between two stamps, in order; what is not later than the newest is left out. Where the
   /// odometry pauses for less than a second the vertical is known less well after it, else no more.
   void turn(double previous_stamp, double stamp, const Eigen::Matrix3d& R_previous_current);
-  /// One more than three standard deviations from what is known counts for nothing, until a third in a row is: then it
-  /// counts alone.
+  /// One is known to 0.01 rad at best. One more than three standard deviations from what is known counts for nothing,
+  /// until a third in a row is: then it counts alone.
   void addVertical(const Vertical& vertical);
   /// Specific force in the body [m/s^2].
   void addSpecificForce(double stamp, const Eigen::Vector3d& force_body);
@@ -50,6 +53,7 @@ class TiltFilter {
   void correctByForces();
   void correct(const Eigen::Vector3d& up_first, double variance, double force_share);
   void set(const Eigen::Vector3d& up_first, double variance, double force_share);
+  double angleTo(const Eigen::Vector3d& up_first) const;
   double nis(const Eigen::Vector3d& up_first, double variance) const;
 
   air_ground_common::StampedBuffer<Eigen::Quaterniond> R_first_body_{30};

@@ -66,8 +66,9 @@ void AttitudeInput::onAcceleration(const sensor_msgs::Imu::ConstPtr& msg) {
                          "launch argument mav_imu_accel, or the parameter accel_topic");
   const auto R_base_sensor = rotationFrom(msg->header.frame_id);
   if (!force.allFinite() || !R_base_sensor) return;
-  tilts_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
-  filter_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
+  const Eigen::Vector3d force_base = *R_base_sensor * force;
+  tilts_.addSpecificForce(msg->header.stamp.toSec(), force_base);
+  filter_.addSpecificForce(msg->header.stamp.toSec(), force_base);
   if (tilts_.lacksGravity())
     health_.count("accelerations on " + accelerometer_.getTopic() +
                   " tell no tilt: they are not about 9.81 m/s^2. Is gravity removed, or are they in g? Have the driver "
@@ -97,7 +98,7 @@ void AttitudeInput::applyField(const sensor_msgs::MagneticField& msg) {
   if (!R_base_sensor) return;
   const double stamp = msg.header.stamp.toSec();
   const auto T_map_base = tilts_.poseAt(stamp, kFieldTolerance);
-  const auto tilt = T_map_base ? Tilt{tiltOf(T_map_base->linear()), 0} : tiltWithoutOdometry(stamp, kFieldTolerance);
+  const auto tilt = tiltBy(T_map_base, stamp, kFieldTolerance);
   if (!tilt)
     return health_.count(
         "magnetometer readings ignored: no tilt from mav/odometry, fixes or the accelerometer at their time");
@@ -122,15 +123,14 @@ void AttitudeInput::onFix(const geometry_msgs::PoseWithCovarianceStamped& msg) {
 }
 
 std::optional<Tilt> AttitudeInput::tiltAt(double stamp, const std::optional<Pose>& T_map_base) const {
-  if (T_map_base) return Tilt{tiltOf(T_map_base->linear()), 0};
-  if (settings_.odometry_wait <= 0) return std::nullopt;
-  return tiltWithoutOdometry(stamp, TiltSource::kSameStamp);
+  if (!T_map_base && settings_.odometry_wait <= 0) return std::nullopt;
+  return tiltBy(T_map_base, stamp, TiltSource::kSameStamp);
 }
 
-std::optional<Tilt> AttitudeInput::tiltWithoutOdometry(double stamp, double tolerance) const {
+std::optional<Tilt> AttitudeInput::tiltBy(const std::optional<Pose>& T_map_base, double stamp, double tolerance) const {
+  if (T_map_base) return Tilt{tiltOf(T_map_base->linear()), 0};
   if (const auto tilt = filter_.at(stamp, tolerance)) return tilt;
-  constexpr double kForceStddev = 0.05;  // of the accelerometer's alone: accelerations of 0.5 m/s^2 [rad]
-  if (const auto R_level_base = tilts_.accelerometerTiltAt(stamp)) return Tilt{*R_level_base, kForceStddev};
+  if (const auto R_level_base = tilts_.accelerometerTiltAt(stamp)) return Tilt{*R_level_base, TiltFilter::kForceStddev};
   return std::nullopt;
 }
 

@@ -46,7 +46,8 @@ class AttitudeInput {
   void onAcceleration(const sensor_msgs::Imu::ConstPtr& msg);
   void onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg);
   void applyField(const sensor_msgs::MagneticField& msg);
-  std::optional<Tilt> tiltWithoutOdometry(double stamp, double tolerance) const;
+  std::optional<Tilt> tiltBy(const std::optional<air_ground_common::Pose>& T_map_base, double stamp,
+                             double tolerance) const;
   std::optional<Eigen::Matrix3d> rotationFrom(const std::string& message_frame);
 
   const NodeSettings& settings_;

@@ -125,16 +125,14 @@ Measurement SensorBridge::heading(const sensor_msgs::MagneticField& msg, const E
 }
 
 std::optional<TiltFilter::Vertical> SensorBridge::vertical(const geometry_msgs::PoseWithCovarianceStamped& msg) {
-  // Of one panorama they err alike, however well they are stated; one that is stated less well than that tells none.
-  constexpr double kLeast = 0.01, kMost = 0.1;  // [rad]
+  constexpr double kMost = 0.1;  // [rad]
   const auto& c = msg.pose.covariance;
   if (!(c[21] > 0) || !(c[28] > 0) || !std::isfinite(c[22])) return std::nullopt;
   const double stddev = std::sqrt((c[21] + c[28]) / 2 + std::hypot((c[21] - c[28]) / 2, c[22]));  // the largest
   if (!(stddev < kMost)) return std::nullopt;
   try {
     const Pose T_world_base = ru::fromMsg(msg.pose.pose);
-    return TiltFilter::Vertical{msg.header.stamp.toSec(), T_world_base.linear().row(2).transpose(),
-                                std::max(kLeast, stddev)};
+    return TiltFilter::Vertical{msg.header.stamp.toSec(), T_world_base.linear().row(2).transpose(), stddev};
   } catch (const std::invalid_argument&) {
     return std::nullopt;
   }
