@@ -101,18 +101,35 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   if (!recent_.empty()) spacing_.add(distance(recent_.back().T_map_camera, T_map_camera));
   reachOut(depth_min, depth_max);
   const Frame frame = rectifier_->rectify(image, stamp, T_map_camera, rows);
+  // By which the map is told to be complete: to wait for the next image would be to send it so much later.
+  const Eigen::Isometry3d T_map_next = expectedNext(T_map_camera);
   std::optional<FusedMap> fused;
   if (sweeping_ && !sweep_->full() && joinsSweep(sweep_->reference().T_map_camera, T_map_camera)) {
     counters_.swept += sweep_->add(frame);
+    keep(frame);
+    if (sweep_->full() || !joinsSweep(sweep_->reference().T_map_camera, T_map_next)) {
+      finishSweep();
+      if (endsGroup(T_map_next)) fused = fuseGroup();
+    }
   } else {
     if (sweeping_) finishSweep();
     if (endsGroup(T_map_camera)) fused = fuseGroup();
     waiting_range_ = {depth_min, depth_max};
+    keep(frame);
+    if (!fused) startWaitingSweep();  // else it would only delay the map
   }
+  return inPosesUnit(std::move(fused));
+}
+
+void DenseMapper::keep(const Frame& frame) {
   recent_.push_back(frame);
   if (recent_.size() > kRecentFrames) recent_.pop_front();
-  if (!fused) startWaitingSweep();  // else it would only delay the map
-  return inPosesUnit(std::move(fused));
+}
+
+// After the same motion once more.
+Eigen::Isometry3d DenseMapper::expectedNext(const Eigen::Isometry3d& T_map_camera) const {
+  if (recent_.empty()) return T_map_camera;
+  return T_map_camera * (recent_.back().T_map_camera.inverse(Eigen::Isometry) * T_map_camera);
 }
 
 void DenseMapper::reachOut(double depth_min, double depth_max) {

@@ -127,6 +127,8 @@ class DenseMapper {
   void reachOut(double depth_min, double depth_max);
   /// What the reach is of that which is set: all radii go with it.
   double growth() const { return reach_.radius / settings_.sweep_radius; }
+  Eigen::Isometry3d expectedNext(const Eigen::Isometry3d& T_map_camera) const;
+  void keep(const Frame& frame);
   bool joinsSweep(const Eigen::Isometry3d& T_map_reference, const Eigen::Isometry3d& T_map_camera) const;
   bool endsGroup(const Eigen::Isometry3d& T_map_reference) const;
   std::optional<FusedMap> fuseGroup();
