@@ -268,6 +268,16 @@ class Documentation(unittest.TestCase):
                 known = [word for word in given if word.partition(':=')[0] in arguments(launch)]
                 self.assertEqual(self.parameters(launch, known, names), {name: {'depth_registered': True, 'accel_topic': '/accel'}.get(name, 'raw') for name in names}, launch)
 
+    def test_a_launch_forgets_what_the_one_before_was_told(self):
+        """On a master that goes on, mav_use_imu:=false of the launch before would hold where this one does not say."""
+        needed = {'bag': 'x.bag', 'db': 'x.gpkg', 'database': 'x.gpkg', 'compare_magnetometer': 'true'}
+        for launch in LAUNCH_FILES:
+            given = [f'{name}:={value}' for name, value in needed.items() if name in arguments(launch)]
+            config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
+            started = {f'/{node.name}/' for node in config.nodes if node.type.replace('_node', '') in NODES}
+            self.assertTrue(started, launch)
+            self.assertEqual(started - set(config.clear_params), set(), launch)
+
     def test_frames_whose_names_are_numbers(self):
         """As drivers of depth cameras have had them ('0'): a node that asks for a name finds a number, and ends."""
         needed = {'bag': 'x.bag', 'db': 'x.gpkg', 'database': 'x.gpkg', 'images': '/photographs', 'camera': '/camera.yaml', 'compare_magnetometer': 'true'}
