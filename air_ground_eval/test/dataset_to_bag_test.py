@@ -7,7 +7,6 @@ import sys
 import tempfile
 import unittest
 
-import cv2
 import numpy as np
 import rosbag
 import rosunit
@@ -15,7 +14,7 @@ from PIL import Image
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_check, bag_reader, calibration, datasets, geometry, imu_synthesis, registration  # noqa: E402
+from air_ground_eval import bag_check, bag_reader, datasets, geometry, imu_synthesis, registration  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 WIDTH, HEIGHT = 160, 120
@@ -99,14 +98,6 @@ def write_euroc(folder, count=40):
         for i in range(count * 4):
             stream.write(f'{begin + i * 12500000},{0.01 * i},0,1,1,0,0,0,0,0,0,0,0,0,0,0,0\n')
     return T_body_camera
-
-
-def write_video(path, count=12):
-    """Images of one grey each, 20 lighter than the last; 30 a second."""
-    writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*'MJPG'), RATE, (WIDTH, HEIGHT))
-    for i in range(count):
-        writer.write(np.full((HEIGHT, WIDTH, 3), 20 * i, np.uint8))
-    writer.release()
 
 
 def write_zurich(folder):
@@ -362,26 +353,6 @@ class DatasetToBag(unittest.TestCase):
         from air_ground_eval import city_database
         facts = city_database.tracker_parameters(None, city_database.read_city_file(os.path.join(city, 'city.yaml')))
         self.assertEqual(facts['origin'], [465666.0, 5247973.0, 471.0])
-
-    def test_video(self):
-        """Every second image at half the width; the calibration follows: a ray keeps its place between the image's borders."""
-        video, camera = os.path.join(self.folder, 'flight.avi'), os.path.join(self.folder, 'camera.yaml')
-        write_video(video)
-        with open(camera, 'w', encoding='utf-8') as stream:
-            stream.write(calibration.camera_info_yaml(Camera(WIDTH, HEIGHT, 100.0, 101.0, 79.5, 59.5, (-0.1, 0.01, 0.0, 0.0, 0.0)), 'mav'))
-        result = convert('--mav', video + '@1-10', '--config', camera, '--mav-width', str(WIDTH // 2), '--mav-rate', '15', '--out', self.bag)
-        self.assertEqual(result.returncode, 0, result.stderr)
-        images = messages_of(self.bag, '/mav/camera/image_raw')
-        self.assertEqual([(m.width, m.height, m.encoding) for m in images], [(WIDTH // 2, HEIGHT // 2, 'mono8')] * 5)
-        np.testing.assert_allclose([np.frombuffer(m.data, np.uint8).mean() for m in images], [20, 60, 100, 140, 180], atol=2)
-        np.testing.assert_allclose(np.diff([m.header.stamp.to_sec() for m in images]), 2 / RATE, atol=2e-3)
-        info = messages_of(self.bag, '/mav/camera/camera_info')[0]
-        np.testing.assert_allclose([info.K[0], info.K[4], info.K[2], info.K[5]], [50, 50.5, 39.5, 29.5])
-        self.assertEqual(list(info.D), [-0.1, 0.01, 0, 0, 0])
-        for arguments, text in [(['--mav', video], '--config cam.yaml'), (['--mav', video, '--config', camera, '--mav-rate', '0'], 'must be positive')]:
-            result = convert(*arguments, '--out', self.bag)
-            self.assertEqual(result.returncode, 1)
-            self.assertIn(text, result.stderr)
 
     def test_real_recordings(self):
         """What other people recorded, where it is there (AIR_GROUND_TEST_DATA, or shared/data beside the checkout)."""

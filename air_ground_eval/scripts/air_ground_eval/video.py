@@ -1,11 +1,12 @@
-"""Reader of a video file as a recording: of a drone whose camera writes nothing else. Its calibration comes from a camera_info file."""
+"""Reader of a video file as a recording: of a drone whose camera writes nothing else, but for subtitles that say where it is. Its calibration comes
+from a camera_info file."""
 import os
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from . import calibration
+from . import calibration, video_telemetry
 from .recording import Camera, DatasetError, Frame, Recording, camera_from_config
 
 EXTENSIONS = ('.mp4', '.mov', '.avi', '.mkv', '.m4v', '.webm', '.mpg', '.mpeg', '.ts', '.mts')
@@ -88,4 +89,7 @@ def camera_of(path, config, config_path):
 def read_video(path, config, config_path):
     camera, video = camera_of(path, config, config_path), Video(path)
     frames = [VideoFrame(stamp, f'{path}, image {index}', video=video, index=index) for index, stamp in enumerate(video.stamps())]
-    return Recording(os.path.basename(path), frames, camera, notes=['a video: no IMU; replay it with mav_use_imu:=false, its scale comes from the ground map'])
+    notes = ['a video: no IMU; replay it with mav_use_imu:=false, its scale comes from the ground map, or in a city from the fixes']
+    telemetry = video_telemetry.path_beside(path)
+    gps = video_telemetry.read_gps(telemetry, notes) if telemetry else None
+    return Recording(os.path.basename(path), frames, camera, gps=gps, notes=notes)
