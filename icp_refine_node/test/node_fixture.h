@@ -109,7 +109,7 @@ class NodeTest : public testing::Test {
 
   // Runs the clock at about real time while it waits, for so many turns of 20 ms.
   template <class Condition>
-  bool waitFor(const Condition& condition, int turns = 6000) {
+  bool waitFor(const Condition& condition, int turns = ros_utils::patience()) {
     for (int i = 0; i < turns; ++i) {
       tick(0.02);
       ros::spinOnce();

@@ -114,6 +114,19 @@ std::vector<Geotag> readCsv(const std::string& path) {
   return tags;
 }
 
+/// Of a GeoJSON collection, of an answer of Mapillary's interface, or of a list of its images. Throws json::exception.
+const nlohmann::json& itemsOf(const nlohmann::json& j) {
+  if (j.is_array()) return j;
+  const auto data = j.find("data");
+  return data != j.end() ? *data : j.at("features");
+}
+
+/// Where Mapillary's reconstruction has an image goes before where its receiver had it. Throws json::exception.
+const nlohmann::json& placeOf(const nlohmann::json& feature) {
+  const auto computed = feature.find("computed_geometry");
+  return computed != feature.end() && computed->is_object() ? *computed : feature.at("geometry");
+}
+
 /// What names the image of a GeoJSON feature: a property, or the feature's own id. Throws json::exception.
 std::string imageOf(const nlohmann::json& feature, const nlohmann::json& properties) {
   const auto text = [](const nlohmann::json& v) { return v.is_string() ? v.get<std::string>() : v.dump(); };
@@ -126,7 +139,8 @@ std::string imageOf(const nlohmann::json& feature, const nlohmann::json& propert
 }
 
 Geotag geotagOf(const nlohmann::json& feature, const std::string& path) {
-  const nlohmann::json& properties = feature.at("properties");
+  const auto own = feature.find("properties");
+  const nlohmann::json& properties = own != feature.end() ? *own : feature;  // Mapillary's are the image's own
   const std::string image = imageOf(feature, properties);
   Geotag g = geotagOf(image, [&](const char* name) -> std::optional<double> {
     const auto property = properties.find(name);
@@ -136,7 +150,7 @@ Geotag geotagOf(const nlohmann::json& feature, const std::string& path) {
     CPLString text(property->get<std::string>());  // as ogr2ogr makes them of a CSV file
     return number(text.Trim(), path + ", image " + image);
   });
-  const auto& geometry = feature.at("geometry");
+  const nlohmann::json& geometry = placeOf(feature);
   if (geometry.is_null() || geometry.at("type") != "Point") {
     g.position = {std::nan(""), std::nan(""), std::nan("")};
   } else {
@@ -153,7 +167,7 @@ std::vector<Geotag> readGeoJson(const std::string& path) {
   std::vector<Geotag> tags;
   try {
     const nlohmann::json j = nlohmann::json::parse(file);
-    for (const auto& feature : j.at("features")) tags.push_back(geotagOf(feature, path));
+    for (const auto& feature : itemsOf(j)) tags.push_back(geotagOf(feature, path));
   } catch (const nlohmann::json::exception& e) {
     throw std::runtime_error(path + " is no GeoJSON of points with a property image: " + e.what());
   }

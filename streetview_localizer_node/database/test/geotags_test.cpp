@@ -121,6 +121,29 @@ TEST(Geotags, GeoJsonOfMapillary) {
   }
 }
 
+// As its interface answers, and as scripts keep the images of several answers.
+TEST(Geotags, AnswersOfMapillary) {
+  const TemporaryFolder folder;
+  const std::string images = R"([
+    {"id":"498763468214164","geometry":{"type":"Point","coordinates":[8.5,47.3]},"computed_geometry":{"type":"Point","coordinates":[8.54,47.37]},
+     "altitude":410.5,"compass_angle":80,"computed_compass_angle":90,"is_pano":true},
+    {"id":"17","geometry":{"type":"Point","coordinates":[8.54,47.37]},"computed_geometry":null,"compass_angle":90}])";
+  for (const std::string& text : {images, R"({"data":)" + images + "}"}) {
+    const auto tags = readGeotags(folder.write("mapillary.json", text));
+    ASSERT_EQ(tags.size(), 2u);
+    EXPECT_EQ(tags[0].image, "498763468214164");
+    EXPECT_DOUBLE_EQ(tags[0].position.height, 410.5);
+    EXPECT_FALSE(tags[1].height_known);
+    for (const Geotag& g : tags) {
+      EXPECT_EQ(g.problem, "");
+      EXPECT_DOUBLE_EQ(g.position.latitude, 47.37);
+      EXPECT_DOUBLE_EQ(g.position.longitude, 8.54);
+      EXPECT_NEAR(g.heading, M_PI / 2, 1e-12);
+    }
+  }
+  EXPECT_THROW(readGeotags(folder.write("error.json", R"({"error":{"message":"Invalid token"}})")), std::runtime_error);
+}
+
 // As ogr2ogr makes it of a CSV file: all properties are text.
 TEST(Geotags, GeoJsonNumbersAsText) {
   const TemporaryFolder folder;

@@ -38,7 +38,8 @@ struct SurveyedImage {
 /// CSV with a header line, commas or semicolons between; columns by name, in any order: image (filename, file, id,
 /// pano_id), lat (latitude), lon (lng, longitude) and, optional, alt (altitude, elevation), heading_deg (heading,
 /// computed_compass_angle, yaw, compass_angle), pitch_deg (pitch), roll_deg (roll). GeoJSON: points [lon, lat, alt]
-/// with these properties, or the feature's id for the image. Throws std::runtime_error with one line: file, line, what
+/// with these properties, or the feature's id for the image; answers of Mapillary's interface, or lists of its images,
+/// likewise (computed_geometry before geometry). Throws std::runtime_error with one line: file, line, what
 /// is wrong.
 std::vector<Geotag> readGeotags(const std::string& path);
 
