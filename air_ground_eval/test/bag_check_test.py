@@ -44,13 +44,14 @@ def write(path, **faults):
         if faults.get('clock'):
             bag.write('/clock', Clock(messages.stamp(100)), messages.stamp(100))
         later = faults.get('clocks', 0.0)
+        noise = np.random.default_rng(5).normal(0, faults.get('gyro_noise', 0), (600, 3))
         for i in range(600):
             t = 100 + i / 200
             for robot in ('mav', 'ground'):
                 accel = np.array([9.81, 0, 0] if faults.get('imu_axes') else [0, 0, 9.81]) * faults.get('imu_factor', 1.0)
                 if faults.get('shaken'):
                     accel = faults['shaken'] * np.sin([70 * t, 83 * t, 97 * t])
-                gyro = np.array([0.01 + (0.3 * np.sin(5 * t) if faults.get('moving') else 0), 0, 0]) * faults.get('gyro_factor', 1.0)
+                gyro = np.array([0.01 + (0.3 * np.sin(5 * t) if faults.get('moving') else 0), 0, 0]) * faults.get('gyro_factor', 1.0) + noise[i]
                 topic = f'/{robot}/imu/data' if robot == 'ground' or not faults.get('imu_elsewhere') else '/imu0'
                 stamp = 100 + (i // 10 * 10 + 10) / 200 + i % 10 * 1e-5 if faults.get('packets') else t
                 bag.write(topic, messages.imu(gyro, accel, 1e-6, 1e-4, stamp, f'{robot}_imu_link'), messages.stamp(t))
@@ -100,7 +101,9 @@ class BagCheck(unittest.TestCase):
         self.assertTrue(any(text in f for f in found), f'{faults}: no {level} with "{text}" in {found}')
 
     def test_a_sound_bag(self):
-        self.assertEqual([f for f in self.findings() if f.level != bag_check.OK], [])
+        for faults in ({}, dict(gyro_noise=0.07)):  # and one of a noisy IMU at rest
+            self.assertEqual([f.text for f in self.findings(**faults) if f.level != bag_check.OK], [])
+        self.assert_found(bag_check.WARNING, 'begins in motion', moving=True, gyro_noise=0.07)
 
     def test_errors(self):
         for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('gravity was removed', dict(shaken=3.0)), ('gravity was removed', dict(shaken=0.8)), ('degrees', dict(gyro_factor=6000.0)),
