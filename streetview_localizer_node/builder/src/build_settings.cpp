@@ -25,6 +25,7 @@ std::string BuildSettings::fingerprint(const std::string& model_identity) const 
           r.camera_height, r.camera_height_stddev, r.model_radius, r.model_lateral_stddev, r.model_height_stddev,
           r.roof_overhang, r.roof_overhang_stddev, r.max_position_stddev, r.max_orientation_stddev})
       out << " " << value;
+    if (!check_neighbours) out << "; neighbours not compared";
   }
   if (camera) {
     out << "; camera " << camera->width << "x" << camera->height;

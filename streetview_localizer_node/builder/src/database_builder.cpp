@@ -16,6 +16,7 @@
 
 #include "air_ground_common/text.h"
 #include "build_items.h"
+#include "neighbour_stage.h"
 
 namespace streetview_localizer {
 
@@ -54,6 +55,9 @@ class Builder {
     }
     const BackProjector projector(writer.model(), s_.back_projection);
     place(&writer);
+    compareNeighbours(
+        s_, projector, [&](const BuildItem& item) { return writer.has(item.panorama.id); },
+        [&](const std::string& stage, int done, int all) { tell(stage, done, all); }, &items_, &report_);
     storeViews(&writer, projector);
     if (writer.panoramas().empty()) throw std::runtime_error(nothingLeft());
     writer.finish();
@@ -87,8 +91,9 @@ class Builder {
 
   // What is to be said of a stored image.
   void remark(const Panorama& panorama, bool used) {
-    if (!panorama.remark.empty())
-      (used ? report_.uncorrected : report_.refused).push_back({panorama.id, panorama.remark});
+    if (panorama.remark.empty()) return;
+    auto& list = !used ? report_.refused : panorama.registered ? report_.doubtful : report_.uncorrected;
+    list.push_back({panorama.id, panorama.remark});
   }
 
   void listImages(const CityModel& model, const std::string& axis_order) {
@@ -184,11 +189,11 @@ class Builder {
   }
 
   /// Whether the same piece of facade is found in it: the comparison seeks within decimetres. Corrected poses are that
-  /// good; others where they say so.
+  /// good unless a neighbour doubts it; others where they say so.
   bool comparable(const BuildItem& item) const {
     constexpr double kSurePosition = 0.5, kSureAngle = 0.02;  // [m], [rad]: as much again at 25 m
     const Panorama& p = item.panorama;
-    const bool corrected = p.registered && s_.poses.empty();
+    const bool corrected = p.registered && p.remark.empty() && s_.poses.empty();
     return usable(item) && (corrected || (p.position_stddev <= kSurePosition && p.orientation_stddev <= kSureAngle));
   }
 

@@ -355,6 +355,11 @@ TEST(DatabaseBuilder, TheFingerprintNamesWhatShapesThePoses) {
   BuildSettings a, b;
   b.registration.search_radius = 12;
   EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
+  BuildSettings unchecked;
+  unchecked.check_neighbours = false;
+  EXPECT_NE(a.fingerprint("m"), unchecked.fingerprint("m"));
+  // Databases from before neighbours were compared take more images.
+  EXPECT_EQ(a.fingerprint("m").find("neighbours"), std::string::npos);
   a.register_panoramas = b.register_panoramas = false;
   EXPECT_EQ(a.fingerprint("m"), b.fingerprint("m"));  // not used
   EXPECT_NE(a.fingerprint("m"), b.fingerprint("another model"));

@@ -49,6 +49,12 @@ void printRemarks(const BuildReport& report) {
     std::printf("not used: %s: %s\n", refusal.image.c_str(), refusal.reason.c_str());
   for (const auto& image : report.uncorrected)
     std::printf("used with its geotag: %s: %s\n", image.image.c_str(), image.reason.c_str());
+  for (const auto& image : report.doubtful)
+    std::printf("used, but stated to be less certain: %s: %s\n", image.image.c_str(), image.reason.c_str());
+  for (const auto& image : report.corrected_anew)
+    std::printf("corrected anew, where its neighbours place it: %s: %s\n", image.image.c_str(), image.reason.c_str());
+  if (report.gained > 0)
+    std::printf("%d images could be corrected only where their neighbours place them\n", report.gained);
 }
 
 void printCounts(const BuildReport& report, const std::string& output) {
@@ -87,7 +93,7 @@ int main(int argc, char** argv) {
   std::string up = "z";
   BuildReport report;
   std::vector<double> pitches;
-  bool no_registration = false, no_consistency = false, built = false;
+  bool no_registration = false, no_neighbours = false, no_consistency = false, built = false;
   app.add_option("output", s.output, "the database: FILE.gpkg, or \"PG:dbname=...\" for PostGIS")->required();
   app.add_option("--model", s.model, "city model: CityGML, CityJSON, OBJ, or a folder of them")->required();
   app.add_option("--geotags", s.geotags,
@@ -132,6 +138,8 @@ int main(int argc, char** argv) {
   app.add_option("--camera", camera,
                  "calibration (ROS camera_info YAML) of geotagged photographs; images of its size are no panoramas");
   app.add_flag("--no-registration", no_registration, "take the geotags as they are");
+  app.add_flag("--no-neighbour-check", no_neighbours,
+               "keep corrected poses that contradict what neighbouring images show");
   app.add_flag("--keep-unregistered", s.keep_unregistered,
                "use the geotag of an image whose pose could not be corrected");
   app.add_flag("--no-consistency", no_consistency, "keep features that other images do not see on the facade");
@@ -181,6 +189,7 @@ int main(int argc, char** argv) {
   try {
     s.north = north == "grid" ? North::kGrid : North::kTrue;
     s.register_panoramas = !no_registration;
+    s.check_neighbours = !no_neighbours;
     s.check_consistency = !no_consistency;
     s.views.horizontal_fov = fov * kDegree;
     s.views.yaw_step = step * kDegree;

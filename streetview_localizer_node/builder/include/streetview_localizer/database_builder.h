@@ -11,6 +11,7 @@
 #include "streetview_localizer/facade_consistency.h"
 #include "streetview_localizer/features.h"
 #include "streetview_localizer/geotags.h"
+#include "streetview_localizer/neighbour_check.h"
 #include "streetview_localizer/panorama_registration.h"
 #include "streetview_localizer/panorama_views.h"
 #include "streetview_localizer/textured_model.h"
@@ -34,6 +35,7 @@ struct BuildSettings {
   std::optional<air_ground_common::CameraModel> camera;  ///< of geotagged photographs; of its size none is a sphere
 
   bool register_panoramas = true;  ///< correct geotagged panoramas and photographs against the model
+  bool check_neighbours = true;    ///< compare corrected poses with what neighbouring images show
   bool keep_unregistered = false;  ///< use the geotag where that failed, instead of storing the image without views
   bool check_consistency = true;   ///< leave out what other images do not see on the facade
   int threads = 0;                 ///< 0: all cores
@@ -45,6 +47,7 @@ struct BuildSettings {
   FeatureSettings features;
   BackProjectionSettings back_projection;
   RegistrationSettings registration;
+  NeighbourSettings neighbours;
   ConsistencySettings consistency;
 
   /// One line that names all that shapes the contents, so that a build is only resumed with the same.
@@ -63,6 +66,9 @@ struct BuildReport {
   int inconsistent = 0;                    ///< features left out by the comparison of images
   std::vector<Refusal> refused;            ///< images that are not used
   std::vector<Refusal> uncorrected;        ///< images used with their geotag (keep_unregistered), and why
+  std::vector<Refusal> doubtful;           ///< images used though a neighbour contradicts their pose
+  std::vector<Refusal> corrected_anew;     ///< images whose pose neighbours contradicted, in this run
+  int gained = 0;                          ///< images that were corrected only where neighbours place them, in this run
   std::vector<std::string> remarks;        ///< of the city model
   std::vector<std::string> image_remarks;  ///< of the images as a whole
 
