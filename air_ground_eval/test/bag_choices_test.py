@@ -228,6 +228,14 @@ class BagChoices(unittest.TestCase):
             self.assertIn(f'--map {rule}: expected TOPIC:=STANDARD', said.getvalue())
             self.assertIn('/mav/imu/data (mav_imu)', said.getvalue())
 
+    def test_a_video_flies_through_a_city(self):
+        """A consumer's drone gives images and GPS."""
+        self.recording(('base_link', 'cam')).camera('/drone/image_raw', 'rgb8', 'cam')
+        status, output, command = self.check('--city')
+        self.assertEqual(status, 0, output)
+        self.assertTrue(self.warned(output, 'mav_use_imu:=false lets the fixes tell the scale'), output)
+        self.assert_arguments(command, mav_use_imu='false')
+
     def test_the_barometer_is_no_airspeed_sensor(self):
         """/mavros/imu/diff_pressure comes first by name, and holds some hundred Pa."""
         recording = self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu')

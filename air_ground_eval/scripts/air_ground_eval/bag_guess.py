@@ -289,7 +289,7 @@ def command(facts, names, bases, frames, city=False, registered=True, arguments=
     words += [f'{ARGUMENTS[standard]}:={topic}' for standard, topic in names.items() if topic != standard and ARGUMENTS[standard] not in full]
     words += compressed
     words += [] if registered else ['ground_depth_registered:=false']
-    words += ['mav_use_imu:=false'] if 'mav' in robots and '/mav/imu/data' not in names and not city else []
+    words += ['mav_use_imu:=false'] if 'mav' in robots and '/mav/imu/data' not in names else []
     for robot in robots:
         words += [f'{robot}_base_frame:={bases[robot]}'] if bases.get(robot, f'{robot}_base_link') != f'{robot}_base_link' else []
         default = f'{robot}_camera_optical_frame'

@@ -112,7 +112,7 @@ def gravity_and_start(topic, stream, facts, base):
             sign = ', or it has the sign of gravity (at rest it must be +9.81 along the axis that points up)' if up[2] < -np.cos(np.radians(45)) else ''
             result.append(Finding(WARNING, f'{topic}: its mean acceleration points along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}) of {base}, which is not up: '
                                   f'the mounting {base} -> {quoted(stream.frames)} or the order of the axes is wrong (or {base} is not z up){sign}'))
-    first = stamps < stamps[0] + 1.0
+    first = (stamps >= stamps[0]) & (stamps < stamps[0] + 1.0)
     bins = ((stamps[first] - stamps[0]) / 0.1).astype(int)
     means = np.array([gyro[first][bins == b].mean(0) for b in np.unique(bins)])
     # White noise is what differs from one reading to the next: a noisy gyro's means spread without any motion.

@@ -65,8 +65,9 @@ def check(facts, standard, types, purpose, names, city, transform):
     without = ''
     if standard.endswith('camera_info') and not other:
         hint = _calibration(facts, standard, names, transform)
-    elif standard == IMU and not other and not city:
-        level, hint = WARNING, ': mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale'
+    elif standard == IMU and not other:
+        what = 'the fixes' if city else "the alignment with the ground robot's map"
+        level, hint = WARNING, f': mav_use_imu:=false lets {what} tell the scale'
     elif standard == '/ground/imu/data' and not other:
         without = bag_imu.without(standard)
         hint = f': {without} waits for none'
