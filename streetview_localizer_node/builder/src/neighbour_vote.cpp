@@ -24,31 +24,30 @@ struct Prediction {
 class Jury {
  public:
   Jury(const std::vector<NeighbourImage>& images, const std::vector<NeighbourEdge>& edges, const NeighbourSettings& s)
-      : images_(images), edges_(edges), s_(s), edges_of_(images.size()), heard_(images.size()) {
+      : images_(images),
+        edges_(edges),
+        s_(s),
+        edges_of_(images.size()),
+        heard_(images.size()),
+        opinions_(images.size()),
+        margins_(images.size(), 0) {
     for (std::size_t i = 0; i < images.size(); ++i) heard_[i] = images[i].registered;
     for (std::size_t e = 0; e < edges.size(); ++e)
       for (const int i : {edges[e].a, edges[e].b}) edges_of_[i].push_back(static_cast<int>(e));
   }
 
   std::vector<NeighbourVerdict> judge() {
+    const int count = static_cast<int>(images_.size());
     std::vector<NeighbourVerdict> verdicts(images_.size());
-    while (true) {
-      int worst = -1, largest = 0;
-      NeighbourVerdict verdict;
-      for (int i = 0; i < static_cast<int>(images_.size()); ++i) {
-        if (images_[i].fixed || !images_[i].registered || !heard_[i]) continue;
-        const Opinion o = opinionOf(i, s_.sigmas);
-        const int margin = static_cast<int>(o.verdict.witnesses.size()) - o.supporters - 1;
-        if (o.verdict.witnesses.size() < 2 || margin <= largest) continue;
-        worst = i, largest = margin;
-        verdict = o.verdict;
-      }
-      if (worst < 0) break;
-      verdict.kind = Kind::kContradicted;
-      verdicts[worst] = verdict;
+    for (int i = 0; i < count; ++i) hear(i);
+    for (int worst = mostContradicted(); worst >= 0; worst = mostContradicted()) {
+      verdicts[worst] = opinions_[worst].verdict;
+      verdicts[worst].kind = Kind::kContradicted;
       heard_[worst] = false;
+      margins_[worst] = 0;
+      for (const int e : edges_of_[worst]) hear(edges_[e].a == worst ? edges_[e].b : edges_[e].a);
     }
-    for (int i = 0; i < static_cast<int>(images_.size()); ++i) {
+    for (int i = 0; i < count; ++i) {
       if (images_[i].fixed || verdicts[i].kind == Kind::kContradicted) continue;
       const Opinion o = opinionOf(i, s_.sigmas_alone);
       const int against = static_cast<int>(o.verdict.witnesses.size());
@@ -99,6 +98,29 @@ class Jury {
            (turn > s_.angle && turn > sigmas * std::sqrt(p.angle_variance + own_angle * own_angle));
   }
 
+  /// Asks the neighbours of an image that has a say.
+  void hear(int image) {
+    if (!heard_[image]) return;
+    opinions_[image] = opinionOf(image, s_.sigmas);
+    const int against = static_cast<int>(opinions_[image].verdict.witnesses.size());
+    margins_[image] = against < 2 ? 0 : std::max(0, against - opinions_[image].supporters - 1);
+  }
+
+  /// -1 where none is. A witness that is contradicted as much is none: between two equally wrong ones stands a right
+  /// one.
+  int mostContradicted() const {
+    int worst = -1, largest = 0;
+    for (int i = 0; i < static_cast<int>(images_.size()); ++i) {
+      if (images_[i].fixed || margins_[i] <= largest) continue;
+      const std::vector<int>& witnesses = opinions_[i].verdict.witnesses;
+      const auto credible = static_cast<int>(
+          std::count_if(witnesses.begin(), witnesses.end(), [&](int w) { return margins_[w] < margins_[i]; }));
+      if (credible < 2 || credible <= opinions_[i].supporters + 1) continue;
+      worst = i, largest = margins_[i];
+    }
+    return worst;
+  }
+
   Opinion opinionOf(int image, double sigmas) const {
     const NeighbourImage& own = images_[image];
     Opinion opinion;
@@ -135,7 +157,9 @@ class Jury {
   const std::vector<NeighbourEdge>& edges_;
   const NeighbourSettings& s_;
   std::vector<std::vector<int>> edges_of_;
-  std::vector<bool> heard_;
+  std::vector<bool> heard_;        ///< registered, and not contradicted
+  std::vector<Opinion> opinions_;  ///< of those
+  std::vector<int> margins_;       ///< by how many votes they are contradicted; 0 where they are not
 };
 
 }  // namespace

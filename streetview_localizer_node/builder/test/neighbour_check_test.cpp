@@ -237,16 +237,16 @@ TEST(NeighbourStage, TakesTheConclusionsOverIntoTheBuildAndLeavesWhatIsStored) {
   EXPECT_TRUE(unchanged(1));
 }
 
-/// A row of images 10 m apart, and the relative poses of each with the two before it, without any pictures.
+/// A row of images 10 m apart, and the relative poses of each with so many before it, without any pictures.
 class Row {
  public:
-  explicit Row(int count) {
+  explicit Row(int count, int reach = 2) {
     for (int i = 0; i < count; ++i) {
       NeighbourImage image;
       image.T_world_image = air_ground_common::yawPose(0.3 * i, Eigen::Vector3d(10.0 * i, 0, 2));
       image.position_stddev = 0.13, image.orientation_stddev = 0.002;
       images.push_back(image);
-      for (int j = std::max(0, i - 2); j < i; ++j)
+      for (int j = std::max(0, i - reach); j < i; ++j)
         edges.push_back({j, i, images[j].T_world_image.inverse() * image.T_world_image, Matrix6d::Identity() * 1e-6});
     }
   }
@@ -284,6 +284,15 @@ TEST(NeighbourVote, TwoWrongOnesSideBySideAreFound) {
     row.images[wrong].T_world_image.translation().x() += 1.5;  // the same facade's next row of windows
   const auto kinds = row.verdicts();
   for (int i = 0; i < 8; ++i) EXPECT_EQ(kinds[i] == kWrong, i == 3 || i == 4) << i;
+}
+
+TEST(NeighbourVote, ARightOneBetweenTwoWrongOnesIsNotRefused) {
+  Row row(7, 1);
+  for (const int wrong : {2, 4}) row.images[wrong].T_world_image.translation().x() += 1.5;
+  EXPECT_EQ(row.verdicts()[3], kDoubt);  // its neighbours agree, but others contradict them
+  // Moved in different ways they do not agree, and are found.
+  row.images[4].T_world_image.translation().x() -= 3;
+  for (int i = 0; i < 7; ++i) EXPECT_EQ(row.verdicts()[i], i == 2 || i == 4 ? kWrong : kFine) << i;
 }
 
 TEST(NeighbourVote, OneWrongMeasurementDoesNothing) {
