@@ -25,7 +25,6 @@ std::string BuildSettings::fingerprint(const std::string& model_identity) const 
           r.camera_height, r.camera_height_stddev, r.model_radius, r.model_lateral_stddev, r.model_height_stddev,
           r.roof_overhang, r.roof_overhang_stddev, r.max_position_stddev, r.max_orientation_stddev})
       out << " " << value;
-    if (!check_neighbours) out << "; neighbours not compared";
   }
   if (camera) {
     out << "; camera " << camera->width << "x" << camera->height;
@@ -44,6 +43,7 @@ std::string BuildSettings::fingerprint(const std::string& model_identity) const 
   const CityModelOptions& m = model_options;
   if (!poses.empty() && (m.y_up || !m.offset.isZero(0) || m.height_offset != 0)) out << "; poses as the model's file";
   if (photograph_focal != usual.photograph_focal) out << "; photographs " << photograph_focal;
+  if (register_panoramas && !check_neighbours) out << "; neighbours not compared";
   return out.str();
 }
 
