@@ -265,6 +265,23 @@ class ReplayReport(unittest.TestCase):
         self.assertEqual(len(mounting.free), 1)
         self.assertGreater(abs(geometry.inverse(T_BASE_MARKERS)[:3, :3].T @ mounting.free[0])[2], 0.99)
 
+    def test_a_body_that_is_not_named_may_be_the_base(self):
+        """Of a robot that turns about the vertical alone, reference poses of base_link are told from those of a marker beside it; how high a camera sits upon it is taken from the transforms."""
+        stamps = np.arange(0, 40, 0.05)
+        base = np.tile(np.eye(4), (len(stamps), 1, 1))
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', np.stack([0 * stamps, 0 * stamps, 0.4 * stamps], 1))
+        base[:, :3, 3] = np.stack([2 * np.cos(0.3 * stamps), 3 * np.sin(0.2 * stamps), 0 * stamps], 1)
+        T_base_camera = geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.17, 0.03, 0.9))
+        estimate = evaluation.Track(stamps, base @ T_base_camera)
+        for T_base_body, of_base in ((np.eye(4), True), (geometry.pose(np.eye(3), (0.2, 0, 0)), False), (geometry.pose(geometry.rotation_z(0.1), (0, 0, 0)), False)):
+            bag = mock.Mock(reference=lambda topic, T=T_base_body: truth.Reference(stamps, base @ T))
+            track, what, note = truth.camera_track(bag, '/gt', 'ground', 'base_link', T_base_camera, estimate)
+            self.assertEqual('moves as base_link does' in note, of_base, note)
+            self.assertIn('along (0.00 0.00 1.00)', note.replace('-', ''))
+            self.assertEqual(what == 'poses of base_link, by its motion', of_base)
+            off = np.abs(track.poses[:, 2, 3] - 0.9).max()
+            self.assertLess(off, 1e-6) if of_base else self.assertGreater(off, 0.5)
+
     def test_what_a_truth_is_of(self):
         """A body that static transforms connect needs no estimate; poses on our own topic are those of base_link."""
         with tempfile.TemporaryDirectory() as folder:

@@ -14,6 +14,7 @@ from .evaluation import LEVER_ARM, Track
 FEWEST, MOST = 20, 1000  # poses with a reference that a mounting is estimated from
 # A lever arm along a direction shows as far as turns move its end in ways that no other place of the map would: so much [m], root mean square, for each metre of it.
 LEAST_SHOWN = 0.05
+SAME_PLACE, SAME_TURN = 0.05, 0.035  # between the mounting estimated and that of base_link, whose poses the reference then tells [m], [rad]
 
 
 @dataclass
@@ -91,6 +92,13 @@ def estimate_mounting(reference, estimate):
     return Mounting(geometry.pose(R_b_c, x[lever] @ arms), T_w_m, float(np.exp(x[6])), free)
 
 
+def agrees(mounting, T_base_camera):
+    """Whether the estimated mounting is that of base_link, as far as the motion tells it."""
+    arm = T_base_camera[:3, 3] - mounting.T_b_c[:3, 3]
+    arm = arm - mounting.free.T @ (mounting.free @ arm)
+    return np.linalg.norm(arm) < SAME_PLACE and geometry.rotation_angle(mounting.T_b_c[:3, :3].T @ T_base_camera[:3, :3]) < SAME_TURN
+
+
 def mounted(reference, mounting, estimate):
     """Track of the camera by the reference; of positions alone with the attitudes of the estimate, where that is known."""
     if reference.attitude:
@@ -120,6 +128,10 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     mounting = estimate_mounting(reference, estimate)
     if mounting is None:
         return None, f'{kind}; no comparison', f'{topic} tells {kind}, and fewer than {FEWEST} poses of {robot} are of its time: no errors'
+    open_axes = ' and '.join('(' + ' '.join(f'{x:.2f}' for x in axis) + ')' for axis in mounting.free)
+    if reference.attitude and 0 < len(mounting.free) < 3 and agrees(mounting, T_base_camera):
+        said = f'{topic} tells {kind}, which moves as {base} does: taken for that; the motion turns too little to tell how far they are apart along {open_axes}'
+        return Track(reference.stamps, reference.poses @ T_base_camera), f'poses of {base}, by its motion', said
     place = ' '.join(f'{x:.3f}' for x in mounting.T_b_c[:3, 3])
     if reference.attitude:
         turn = ' '.join(f'{x:.4f}' for x in geometry.quaternion_from_matrix(mounting.T_b_c[:3, :3]))
@@ -127,7 +139,6 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     else:
         found = f'the camera to it was estimated from the odometry, {place} m along the camera\'s axes; its attitudes are the odometry\'s own'
     if len(mounting.free):
-        found += f'; the motion turns too little to tell {"any" if len(mounting.free) == 3 else "all"} of the lever arm: 0 along ' + ' and '.join(
-            '(' + ' '.join(f'{x:.2f}' for x in axis) + ')' for axis in mounting.free)
+        found += f'; the motion turns too little to tell {"any" if len(mounting.free) == 3 else "all"} of the lever arm: 0 along {open_axes}'
     outcome = f'errors of {robot}, and those of the alignment, contain what it is along these' if len(mounting.free) else f'errors of {robot} contain none of it'
     return mounted(reference, mounting, estimate), f'{kind}, mounting estimated', f'{topic} tells {kind}, which no static transform connects to {base}: {found}; {outcome}'
