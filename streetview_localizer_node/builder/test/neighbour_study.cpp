@@ -7,12 +7,11 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <fstream>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <random>
-#include <sstream>
 
+#include "simulated_street.h"
 #include "streetview_localizer/geotags.h"
 #include "streetview_localizer/neighbour_check.h"
 #include "visual_frontend/pose_graph.h"
@@ -46,33 +45,13 @@ struct Street {
   std::vector<Pose> truth, geotags;
 };
 
-std::map<std::string, Pose> readTruth(const std::string& path) {
-  std::map<std::string, Pose> truth;
-  std::ifstream file(path);
-  for (std::string line; std::getline(file, line);) {
-    std::replace(line.begin(), line.end(), ',', ' ');
-    std::istringstream stream(line);
-    std::string id;
-    double x, y, z, qx, qy, qz, qw;
-    if (!(stream >> id >> x >> y >> z >> qx >> qy >> qz >> qw)) continue;
-    truth[id] = Pose(Eigen::Translation3d(x, y, z) * Eigen::Quaterniond(qw, qx, qy, qz).normalized());
-  }
-  return truth;
-}
-
 Street readStreet(const std::string& folder) {
   Street street;
-  CityModelOptions options;
-  options.origin.emplace(Eigen::Vector3d::Zero());
-  std::ifstream description(folder + "/city.yaml");
-  for (std::string line; std::getline(description, line);)
-    std::sscanf(line.c_str(), "origin: [%lf, %lf, %lf]", &options.origin->x(), &options.origin->y(),
-                &options.origin->z());
-  street.city = readCityModel(folder + "/model.gml", options);
+  street.city = testing::modelOfTruth(folder);
   RegistrationSettings settings;
   settings.threads = threads;
   const PanoramaRegistrar registrar(street.city, settings);
-  const auto truth = readTruth(folder + "/panorama_truth.csv");
+  const auto truth = testing::truePoses(folder);
   std::vector<RegistrationInput> inputs;
   std::vector<std::string> names;
   for (const Geotag& geotag : readGeotags(folder + "/geotags.csv")) {

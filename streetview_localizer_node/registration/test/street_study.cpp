@@ -6,12 +6,10 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <fstream>
-#include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <sstream>
 
+#include "simulated_street.h"
 #include "streetview_localizer/geotags.h"
 #include "streetview_localizer/panorama_registration.h"
 
@@ -19,21 +17,6 @@ using air_ground_common::Pose;
 using namespace streetview_localizer;
 
 namespace {
-
-std::map<std::string, Pose> readTruth(const std::string& path) {
-  std::map<std::string, Pose> truth;
-  std::ifstream file(path);
-  std::string line;
-  while (std::getline(file, line)) {
-    std::replace(line.begin(), line.end(), ',', ' ');
-    std::istringstream stream(line);
-    std::string id;
-    double x, y, z, qx, qy, qz, qw;
-    if (!(stream >> id >> x >> y >> z >> qx >> qy >> qz >> qw)) continue;
-    truth[id] = Pose(Eigen::Translation3d(x, y, z) * Eigen::Quaterniond(qw, qx, qy, qz).normalized());
-  }
-  return truth;
-}
 
 void printDistribution(const char* name, std::vector<double> values, const char* unit) {
   if (values.empty()) return;
@@ -81,18 +64,10 @@ int main(int argc, char** argv) {
   std::vector<double> nees;
   int wrong = 0;
   for (const std::string& folder : folders) {
-    // In the frame of the truth.
-    Eigen::Vector3d origin = Eigen::Vector3d::Zero();
-    std::ifstream description(folder + "/city.yaml");
-    for (std::string line; std::getline(description, line);) {
-      std::sscanf(line.c_str(), "origin: [%lf, %lf, %lf]", &origin.x(), &origin.y(), &origin.z());
-    }
-    CityModelOptions options;
-    options.origin = origin;
-    const CityModel city = readCityModel(folder + "/model.gml", options);
+    const CityModel city = testing::modelOfTruth(folder);
     RegistrationSettings settings;
     const PanoramaRegistrar registrar(city, settings);
-    const auto truth = readTruth(folder + "/panorama_truth.csv");
+    const auto truth = testing::truePoses(folder);
     std::vector<RegistrationInput> inputs;
     std::vector<Pose> truths;
     std::vector<std::string> names;
