@@ -101,11 +101,11 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   if (!recent_.empty()) spacing_.add(distance(recent_.back().T_map_camera, T_map_camera));
   reachOut(depth_min, depth_max);
   const Frame frame = rectifier_->rectify(image, stamp, T_map_camera, rows);
-  // By which the map is told to be complete: to wait for the next image would be to send it so much later.
-  const Eigen::Isometry3d T_map_next = expectedNext(T_map_camera);
   std::optional<FusedMap> fused;
   if (sweeping_ && !sweep_->full() && joinsSweep(sweep_->reference().T_map_camera, T_map_camera)) {
     counters_.swept += sweep_->add(frame);
+    // By which the map is told to be complete: to wait for the next image would be to send it so much later.
+    const Eigen::Isometry3d T_map_next = expectedNext(T_map_camera);
     keep(frame);
     if (sweep_->full() || !joinsSweep(sweep_->reference().T_map_camera, T_map_next)) {
       finishSweep();

@@ -10,6 +10,7 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <opencv2/imgcodecs.hpp>
 #include <set>
 #include <stdexcept>
 
@@ -289,10 +290,7 @@ class ImageList {
       if (!height) return;
       p.T_world_geotag.translation().z() = *height;
     }
-    p.T_world_panorama = p.T_world_geotag;
-    const auto covariance = geotagCovariance(s_.registration, geotag.heading_known);
-    p.position_stddev = std::sqrt(covariance.topLeftCorner<3, 3>().trace() / 3);
-    p.orientation_stddev = std::sqrt(covariance.bottomRightCorner<3, 3>().trace() / 3);
+    placeAtGeotag(s_, item);
     items_.push_back(*item);
   }
 
@@ -316,6 +314,18 @@ std::vector<BuildItem> listBuildItems(const BuildSettings& settings, const CityM
                                       const std::string& axis_order, BuildReport* report) {
   report->image_remarks.clear();
   return ImageList(settings, model, axis_order, report).take();
+}
+
+void placeAtGeotag(const BuildSettings& settings, BuildItem* item) {
+  Panorama& p = item->panorama;
+  p.T_world_panorama = p.T_world_geotag;
+  const auto covariance = geotagCovariance(settings.registration, item->heading_known);
+  p.position_stddev = std::sqrt(covariance.topLeftCorner<3, 3>().trace() / 3);
+  p.orientation_stddev = std::sqrt(covariance.bottomRightCorner<3, 3>().trace() / 3);
+}
+
+cv::Mat readStored(const std::string& path, bool grey) {
+  return cv::imread(path, (grey ? cv::IMREAD_GRAYSCALE : cv::IMREAD_COLOR) | cv::IMREAD_IGNORE_ORIENTATION);
 }
 
 RegistrationSettings registrationOf(const BuildSettings& settings) {

@@ -1,6 +1,7 @@
 // The images of a build: which there are, where they were taken, through which lens, and why others are not used.
 #pragma once
 
+#include <opencv2/core.hpp>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,12 @@ struct BuildItem {
 /// Throws std::runtime_error or std::invalid_argument with one line for a list that is broken.
 std::vector<BuildItem> listBuildItems(const BuildSettings& settings, const CityModel& model,
                                       const std::string& axis_order, BuildReport* report);
+
+/// Back to where the geotag has it, with the deviations that the settings state of that.
+void placeAtGeotag(const BuildSettings& settings, BuildItem* item);
+
+/// The image of a file as it is stored, not turned by its EXIF orientation; empty where it cannot be read.
+cv::Mat readStored(const std::string& path, bool grey = false);
 
 /// The settings of the pose correction with the threads of the build.
 RegistrationSettings registrationOf(const BuildSettings& settings);

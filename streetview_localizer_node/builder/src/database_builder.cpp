@@ -8,7 +8,6 @@
 #include <filesystem>
 #include <map>
 #include <mutex>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <optional>
 #include <stdexcept>
@@ -161,7 +160,7 @@ class Builder {
     for (BuildItem* item : wanted) {
       RegistrationInput input;
       input.load = [item] {
-        cv::Mat image = cv::imread(item->path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
+        cv::Mat image = readStored(item->path);
         item->readable = !image.empty();
         return image;
       };
@@ -205,9 +204,7 @@ class Builder {
                         panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
     }
     const FacadeConsistency consistency(
-        projector, images,
-        [&](int i) { return cv::imread(items_[i].path, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION); },
-        s_.consistency);
+        projector, images, [&](int i) { return readStored(items_[i].path, true); }, s_.consistency);
     int done = 0;
     std::string error;
     const int count = static_cast<int>(items_.size());
@@ -247,7 +244,7 @@ class Builder {
     BackProjectionCounts counts;
     int inconsistent = 0;
     cv::Mat image;
-    if (usable(item)) image = cv::imread(item.path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
+    if (usable(item)) image = readStored(item.path);
     if (!item.readable || (usable(item) && image.empty())) {  // not stored, so that the next run tries again
       const std::lock_guard<std::mutex> lock(writer_mutex_);
       refuse(panorama.id, "cannot be read as an image");

@@ -1,8 +1,6 @@
 #include "neighbour_stage.h"
 
 #include <algorithm>
-#include <cmath>
-#include <opencv2/imgcodecs.hpp>
 
 #include "streetview_localizer/neighbour_check.h"
 
@@ -15,7 +13,7 @@ NeighbourImage neighbourOf(const BuildItem& item, bool fixed) {
   const Panorama& p = item.panorama;
   NeighbourImage image;
   image.name = p.id;
-  image.load = [path = item.path] { return cv::imread(path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION); };
+  image.load = [path = item.path] { return readStored(path); };
   if (!p.equirectangular) image.camera = item.camera;
   image.T_world_image = p.T_world_panorama;
   image.registered = p.registered;
@@ -30,10 +28,7 @@ void adopt(const NeighbourOutcome& outcome, const BuildSettings& settings, Build
   if (outcome.kind == Kind::kKept) return;
   if (outcome.kind == Kind::kRefused) {
     p.registered = false;
-    p.T_world_panorama = p.T_world_geotag;
-    const auto covariance = geotagCovariance(settings.registration, item->heading_known);
-    p.position_stddev = std::sqrt(covariance.topLeftCorner<3, 3>().trace() / 3);
-    p.orientation_stddev = std::sqrt(covariance.bottomRightCorner<3, 3>().trace() / 3);
+    placeAtGeotag(settings, item);
     p.remark = "pose not corrected: " + outcome.remark;
     return;
   }

@@ -4,8 +4,10 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <random>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/linear_algebra.h"
 #include "visual_frontend/pose_solver.h"
 
@@ -57,7 +59,7 @@ class Solver {
 
   std::optional<RelativePose> solve(const Pose& T_world_a) {
     std::vector<int> all(sights_.size());
-    for (std::size_t i = 0; i < all.size(); ++i) all[i] = static_cast<int>(i);
+    std::iota(all.begin(), all.end(), 0);
     std::vector<int> inliers;
     const auto start = search(all, s_.max_iterations, &inliers);
     if (!start) return std::nullopt;
@@ -70,9 +72,7 @@ class Solver {
     if (static_cast<double>(others.size()) > s_.max_rival * static_cast<double>(inliers.size())) return std::nullopt;
     RelativePose result;
     result.T_a_b = T_world_a.inverse() * T_world_b;
-    Matrix6d R = Matrix6d::Zero();
-    R.topLeftCorner<3, 3>() = R.bottomRightCorner<3, 3>() = T_world_a.linear().transpose();
-    result.covariance = R * covariance * R.transpose();
+    result.covariance = air_ground_common::aboutAxes(T_world_a.linear().transpose(), covariance);
     result.inliers = static_cast<int>(inliers.size());
     return result;
   }
@@ -126,8 +126,6 @@ class Solver {
   /// Gauss-Newton on the pose and an offset of each wall; which sights agree is counted again each time.
   bool refine(Pose* T_world_b, std::vector<int>* inliers, Matrix6d* covariance) const {
     std::vector<double> offset(walls_, 0.0);
-    std::vector<int> all(sights_.size());
-    for (std::size_t i = 0; i < all.size(); ++i) all[i] = static_cast<int>(i);
     constexpr int kIterations = 10;
     for (int iteration = 0; iteration <= kIterations; ++iteration) {
       if (static_cast<int>(inliers->size()) < s_.min_inliers) return false;
@@ -155,10 +153,10 @@ class Solver {
       inliers->clear();
       const Pose T_b_world = T_world_b->inverse();
       const double limit = s_.max_error * std::max(1.0, 2.0 - 0.25 * iteration);
-      for (const int i : all) {
+      for (std::size_t i = 0; i < sights_.size(); ++i) {
         Sight moved = sights_[i];
         moved.p_world += offset[moved.wall] * moved.shift;
-        if (errorOf(moved, T_b_world) < limit) inliers->push_back(i);
+        if (errorOf(moved, T_b_world) < limit) inliers->push_back(static_cast<int>(i));
       }
     }
     return false;
@@ -224,11 +222,9 @@ std::optional<RelativePose> measureRelativePose(const BearingFeatures& a, const 
 RelativePose inverted(const RelativePose& relative) {
   RelativePose result = relative;
   result.T_a_b = relative.T_a_b.inverse();
-  const Eigen::Matrix3d R = result.T_a_b.linear();
-  Matrix6d J = Matrix6d::Zero();
-  J.topLeftCorner<3, 3>() = J.bottomRightCorner<3, 3>() = -R;
-  J.topRightCorner<3, 3>() = -R * air_ground_common::skew(relative.T_a_b.translation());
-  result.covariance = J * relative.covariance * J.transpose();
+  const Eigen::Vector3d lever = -relative.T_a_b.translation();  // from b's place to a's, in a's axes
+  result.covariance =
+      air_ground_common::aboutAxes(result.T_a_b.linear(), air_ground_common::covarianceAt(relative.covariance, lever));
   return result;
 }
 

@@ -1,5 +1,5 @@
 // Prints what neighbours find of wrong poses in streets that `simulate --world street` writes:
-//   neighbour_study FOLDER.city... [--draws N] [--verbose]
+//   neighbour_study FOLDER.city... [--draws N] [--threads N] [--verbose]
 // One panorama in six is moved by 0.6 to 2 m along or across the street.
 #include <Eigen/Dense>
 #include <algorithm>
