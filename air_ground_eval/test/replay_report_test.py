@@ -275,12 +275,37 @@ class ReplayReport(unittest.TestCase):
         estimate = evaluation.Track(stamps, base @ T_base_camera)
         for T_base_body, of_base in ((np.eye(4), True), (geometry.pose(np.eye(3), (0.2, 0, 0)), False), (geometry.pose(geometry.rotation_z(0.1), (0, 0, 0)), False)):
             bag = mock.Mock(reference=lambda topic, T=T_base_body: truth.Reference(stamps, base @ T))
-            track, what, note = truth.camera_track(bag, '/gt', 'ground', 'base_link', T_base_camera, estimate)
+            track, what, (note,) = truth.camera_track(bag, '/gt', 'ground', 'base_link', T_base_camera, estimate)
             self.assertEqual('moves as base_link does' in note, of_base, note)
             self.assertIn('along (0.00 0.00 1.00)', note.replace('-', ''))
             self.assertEqual(what == 'poses of base_link, by its motion', of_base)
             off = np.abs(track.poses[:, 2, 3] - 0.9).max()
             self.assertLess(off, 1e-6) if of_base else self.assertGreater(off, 0.5)
+
+    def test_a_reference_of_another_clock(self):
+        """A turn of 1 rad/s and 20 ms are 1.1 degrees that no odometry made. A robot that goes straight on tells no time: its poses stay as they are stamped."""
+        random, stamps = np.random.default_rng(5), np.arange(0, 40, 0.01)
+        base = np.tile(np.eye(4), (len(stamps), 1, 1))
+        angles = np.stack([0.1 * np.sin(1.3 * stamps), 0.1 * np.cos(0.9 * stamps), 1.2 * np.sin(0.8 * stamps)], 1)
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', angles)
+        base[:, :3, 3] = np.stack([2 * np.cos(0.5 * stamps), 3 * np.sin(0.4 * stamps), 1.5 + 0.5 * np.sin(0.5 * stamps)], 1)
+        straight = np.tile(np.eye(4), (len(stamps), 1, 1))
+        straight[:, 0, 3] = 0.5 * stamps
+        T_base_camera = geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))
+        for way, late, attitude in ((base, 0.02, True), (base, -0.02, True), (base, 0.0, True), (base, 0.02, False), (straight, 0.02, True)):
+            camera = (way @ T_base_camera)[::5]
+            camera[:, :3, 3] += np.cumsum(random.normal(size=(len(camera), 3)), 0) * 1e-4
+            camera[:, :3, :3] = camera[:, :3, :3] @ geometry.rotation_from_axes('xyz', 1e-3 * random.normal(size=(len(camera), 3)))
+            estimate = evaluation.Track(stamps[::5], camera)
+            reference = truth.Reference(stamps + late, way if attitude else way @ T_base_camera, attitude, 'markers' if attitude else 'prism')
+            bag = mock.Mock(reference=lambda topic, r=reference: r, static_transform=lambda frame, base: np.eye(4))
+            track, what, notes = truth.camera_track(bag, '/gt', 'mav', 'base_link', T_base_camera, estimate)
+            told = late if way is base else 0.0
+            self.assertEqual(f'{1e3 * abs(told):.0f} ms {"earlier" if told > 0 else "later"}' in what, told != 0, what)
+            self.assertEqual(any('another clock' in note for note in notes), told != 0)
+            if way is base:
+                where, known = track.at(estimate.stamps)
+                self.assertLess(geometry.rotation_angle(np.swapaxes(where, 1, 2)[:, :3, :3] @ camera[:, :3, :3])[known].mean(), np.radians(0.2))
 
     def test_what_a_truth_is_of(self):
         """A body that static transforms connect needs no estimate; poses on our own topic are those of base_link."""
@@ -293,13 +318,13 @@ class ReplayReport(unittest.TestCase):
             T_base_camera = facts.static_transform('mav_base_link', 'mav_camera_optical_frame')
             nothing = evaluation.Track(np.zeros(0), np.zeros((0, 4, 4)))
             own = truth.camera_track(facts, '/ground_truth/mav', 'mav', 'mav_base_link', T_base_camera, nothing)
-            self.assertEqual(own[1:], ('poses of mav_base_link', ''))
+            self.assertEqual(own[1:], ('poses of mav_base_link', []))
             self.assertTrue(np.array_equal(own[0].poses, facts.pose_track('/ground_truth/mav', T_base_camera).poses))
             vicon = truth.camera_track(facts, '/vicon/firefly_sbx/firefly_sbx', 'mav', 'mav_base_link', T_base_camera, nothing)
-            self.assertEqual(vicon[1:], ('poses of vicon/firefly_sbx/firefly_sbx', ''))
+            self.assertEqual(vicon[1:], ('poses of vicon/firefly_sbx/firefly_sbx', []))
             self.assertTrue(np.allclose(vicon[0].poses, own[0].poses, atol=1e-9))
             few = evaluation.Track(own[0].stamps[:5], own[0].poses[:5])
-            track, _, note = truth.camera_track(facts, '/leica/position', 'mav', 'mav_base_link', T_base_camera, few)
+            track, _, (note,) = truth.camera_track(facts, '/leica/position', 'mav', 'mav_base_link', T_base_camera, few)
             self.assertIsNone(track)
             self.assertIn('fewer than 20 poses of mav are of its time', note)
 

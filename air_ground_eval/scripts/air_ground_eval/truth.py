@@ -2,6 +2,7 @@
 
 World w of the reference, map m of the estimate, camera c, body b whose poses the reference tells. T_a_b takes b to a coordinates.
 """
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from . import geometry
 from .evaluation import LEVER_ARM, Track
+from .reference_clock import clock_shift
 
 FEWEST, MOST = 20, 1000  # poses with a reference that a mounting is estimated from
 # A lever arm along a direction shows as far as turns move its end in ways that no other place of the map would: so much [m], root mean square, for each metre of it.
@@ -110,28 +112,41 @@ def mounted(reference, mounting, estimate):
     return Track(reference.stamps[known], poses[known])
 
 
+def _on_the_images_clock(reference, estimate, topic, robot):
+    """(reference with the stamps that the images would have had, what was done to them, a note)."""
+    shift = clock_shift(Track(reference.stamps, reference.poses), estimate, reference.attitude) if len(estimate) else 0.0
+    if shift == 0:
+        return reference, '', ''
+    moved = f'{1e3 * abs(shift):.0f} ms {"later" if shift > 0 else "earlier"}'
+    said = (f'{topic} moves as {robot} does when its poses are taken as {moved} than stamped: another clock than that of the images, whose stamps the odometry has; '
+            'errors are with them so')
+    return dataclasses.replace(reference, stamps=reference.stamps + shift), f', {moved}', said
+
+
 def camera_track(bag, topic, robot, base, T_base_camera, estimate):
-    """(Track of a robot's camera by the reference on a topic, or None; what that is, in words; a note, or ''). bag: its static transforms and reference(topic).
+    """(Track of a robot's camera by the reference on a topic, or None; what that is, in words; notes). bag: its static transforms and reference(topic).
 
     Poses without a frame of their own on /ground_truth/<robot> are those of `base`: our recordings' and dataset_to_bag's.
     """
     reference = bag.reference(topic)
     if reference is None:
-        return None, '', ''
+        return None, '', []
     frame = reference.frame or (base if reference.attitude and topic.endswith(f'/ground_truth/{robot}') else '')
     T_frame_base = bag.static_transform(frame, base) if frame and reference.attitude else None
-    if T_frame_base is not None:
-        return Track(reference.stamps, reference.poses @ T_frame_base @ T_base_camera), f'poses of {frame}', ''
     kind = f'{"poses" if reference.attitude else "positions"} of {frame or "a body that is not named"}'
+    reference, moved, said = _on_the_images_clock(reference, estimate, topic, robot)
+    notes = [said] if said else []
+    if T_frame_base is not None:
+        return Track(reference.stamps, reference.poses @ T_frame_base @ T_base_camera), kind + moved, notes
     if not len(estimate):
-        return None, f'{kind}; no pose to compare', ''
+        return None, f'{kind}; no pose to compare', notes
     mounting = estimate_mounting(reference, estimate)
     if mounting is None:
-        return None, f'{kind}; no comparison', f'{topic} tells {kind}, and fewer than {FEWEST} poses of {robot} are of its time: no errors'
+        return None, f'{kind}; no comparison', [f'{topic} tells {kind}, and fewer than {FEWEST} poses of {robot} are of its time: no errors']
     open_axes = ' and '.join('(' + ' '.join(f'{x:.2f}' for x in axis) + ')' for axis in mounting.free)
     if reference.attitude and 0 < len(mounting.free) < 3 and agrees(mounting, T_base_camera):
         said = f'{topic} tells {kind}, which moves as {base} does: taken for that; the motion turns too little to tell how far they are apart along {open_axes}'
-        return Track(reference.stamps, reference.poses @ T_base_camera), f'poses of {base}, by its motion', said
+        return Track(reference.stamps, reference.poses @ T_base_camera), f'poses of {base}, by its motion{moved}', notes + [said]
     place = ' '.join(f'{x:.3f}' for x in mounting.T_b_c[:3, 3])
     if reference.attitude:
         turn = ' '.join(f'{x:.4f}' for x in geometry.quaternion_from_matrix(mounting.T_b_c[:3, :3]))
@@ -141,4 +156,4 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     if len(mounting.free):
         found += f'; the motion turns too little to tell {"any" if len(mounting.free) == 3 else "all"} of the lever arm: 0 along {open_axes}'
     outcome = f'errors of {robot}, and those of the alignment, contain what it is along these' if len(mounting.free) else f'errors of {robot} contain none of it'
-    return mounted(reference, mounting, estimate), f'{kind}, mounting estimated', f'{topic} tells {kind}, which no static transform connects to {base}: {found}; {outcome}'
+    return mounted(reference, mounting, estimate), f'{kind}, mounting estimated{moved}', notes + [f'{topic} tells {kind}, which no static transform connects to {base}: {found}; {outcome}']
