@@ -96,25 +96,35 @@ def leveling_rotation(up):
     return np.eye(3) + k + k @ k / (1 + c)
 
 
-def interpolate_poses(stamps, transforms, query, max_gap=0.5):
-    """Poses at `query` stamps: positions linear, attitudes at constant turn rate between neighbours.
+class PoseInterpolator:
+    """Poses between those at increasing stamps (n,): positions linear, attitudes at constant turn rate between neighbours.
 
-    Returns (poses (n, 4, 4), valid (n,)); invalid outside the range, with fewer than two stamps, and across gaps longer than max_gap [s], but where a neighbour is so near that
+    at(query): (poses (m, 4, 4), valid (m,)); invalid outside the range, with fewer than two stamps, and across gaps longer than max_gap [s], but where a neighbour is so near that
     an acceleration of 1 m/s^2 in between makes less than 25 mm: poses once a second are references for what lies within 0.05 s of them.
     """
-    stamps, query, transforms = np.asarray(stamps, float), np.asarray(query, float), np.asarray(transforms, float)
-    if len(stamps) < 2:
-        return np.tile(np.eye(4), (len(query), 1, 1)), np.zeros(len(query), bool)
-    i = np.clip(np.searchsorted(stamps, query, side='right') - 1, 0, len(stamps) - 2)
-    gap = stamps[i + 1] - stamps[i]
-    near = np.minimum(query - stamps[i], stamps[i + 1] - query) * gap <= 0.05  # [s^2]: twice 25 mm over 1 m/s^2
-    valid = (query >= stamps[0] - 1e-9) & (query <= stamps[-1] + 1e-9) & ((gap <= max_gap) | near)
-    inside = np.clip(query, stamps[0], stamps[-1])
-    result = np.tile(np.eye(4), (len(query), 1, 1))
-    if len(query):
-        result[:, :3, :3] = matrix_from_rotations(Slerp(stamps, rotations_from_matrix(transforms[:, :3, :3]))(inside))
-        result[:, :3, 3] = np.stack([np.interp(inside, stamps, transforms[:, axis, 3]) for axis in range(3)], 1)
-    return result, valid
+
+    def __init__(self, stamps, transforms, max_gap=0.5):
+        self.stamps, self.transforms, self.max_gap = np.asarray(stamps, float), np.asarray(transforms, float), max_gap
+        self.turns = Slerp(self.stamps, rotations_from_matrix(self.transforms[:, :3, :3])) if len(self.stamps) > 1 else None
+
+    def at(self, query):
+        stamps, query = self.stamps, np.asarray(query, float)
+        result = np.tile(np.eye(4), (len(query), 1, 1))
+        if self.turns is None or not len(query):
+            return result, np.zeros(len(query), bool)
+        i = np.clip(np.searchsorted(stamps, query, side='right') - 1, 0, len(stamps) - 2)
+        gap = stamps[i + 1] - stamps[i]
+        near = np.minimum(query - stamps[i], stamps[i + 1] - query) * gap <= 0.05  # [s^2]: twice 25 mm over 1 m/s^2
+        valid = (query >= stamps[0] - 1e-9) & (query <= stamps[-1] + 1e-9) & ((gap <= self.max_gap) | near)
+        inside = np.clip(query, stamps[0], stamps[-1])
+        result[:, :3, :3] = matrix_from_rotations(self.turns(inside))
+        result[:, :3, 3] = np.stack([np.interp(inside, stamps, self.transforms[:, axis, 3]) for axis in range(3)], 1)
+        return result, valid
+
+
+def interpolate_poses(stamps, transforms, query, max_gap=0.5):
+    """PoseInterpolator's, once."""
+    return PoseInterpolator(stamps, transforms, max_gap).at(query)
 
 
 def align_points(reference, estimate, with_scale=False):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from . import geometry
 from .evaluation import LEVER_ARM, Track
-from .reference_clock import clock_shift
+from .reference_clock import WIDEST, clock_shift
 
 FEWEST, MOST = 20, 1000  # poses with a reference that a mounting is estimated from
 # A lever arm along a direction shows as far as turns move its end in ways that no other place of the map would: so much [m], root mean square, for each metre of it.
@@ -113,14 +113,17 @@ def mounted(reference, mounting, estimate):
 
 
 def _on_the_images_clock(reference, estimate, topic, robot):
-    """(reference with the stamps that the images would have had, what was done to them, a note)."""
-    shift = clock_shift(Track(reference.stamps, reference.poses), estimate, reference.attitude) if len(estimate) else 0.0
+    """(reference with the stamps that the images would have had, what was done to them, notes)."""
+    shift = clock_shift(Track(reference.stamps, reference.poses), estimate, reference.attitude)
+    if shift is None:
+        return reference, '', [f'{topic} does not move as {robot} does, at whatever shift of time within {WIDEST:g} s: a clock further off than that, another body, or an odometry that is wrong; '
+                               'errors are with its stamps as they are']
     if shift == 0:
-        return reference, '', ''
+        return reference, '', []
     moved = f'{1e3 * abs(shift):.0f} ms {"later" if shift > 0 else "earlier"}'
     said = (f'{topic} moves as {robot} does when its poses are taken as {moved} than stamped: another clock than that of the images, whose stamps the odometry has; '
             'errors are with them so')
-    return dataclasses.replace(reference, stamps=reference.stamps + shift), f', {moved}', said
+    return dataclasses.replace(reference, stamps=reference.stamps + shift), f', {moved}', [said]
 
 
 def camera_track(bag, topic, robot, base, T_base_camera, estimate):
@@ -134,8 +137,7 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     frame = reference.frame or (base if reference.attitude and topic.endswith(f'/ground_truth/{robot}') else '')
     T_frame_base = bag.static_transform(frame, base) if frame and reference.attitude else None
     kind = f'{"poses" if reference.attitude else "positions"} of {frame or "a body that is not named"}'
-    reference, moved, said = _on_the_images_clock(reference, estimate, topic, robot)
-    notes = [said] if said else []
+    reference, moved, notes = _on_the_images_clock(reference, estimate, topic, robot)
     if T_frame_base is not None:
         return Track(reference.stamps, reference.poses @ T_frame_base @ T_base_camera), kind + moved, notes
     if not len(estimate):

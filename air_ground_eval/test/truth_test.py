@@ -1,0 +1,123 @@
+#!/usr/bin/env python3
+"""Reference poses as those of a camera: of other bodies, other clocks, with noise; odometry and truth are made, and what is between them is known."""
+import os
+import re
+import sys
+import unittest
+from unittest import mock
+
+import numpy as np
+import rosunit
+
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
+from air_ground_eval import evaluation, geometry, reference_clock, truth  # noqa: E402
+
+# Of EuRoC's Vicon body in the MAV's: its markers lie behind and below, and their axes are turned.
+T_BASE_MARKERS = geometry.pose_from_tq((0.069, -0.028, -0.124), (0.3, -0.5, 0.6, 0.2))
+
+
+class Truth(unittest.TestCase):
+    def test_a_constant_mounting_changes_no_error(self):
+        """Truth of another body of the MAV gives the errors of the camera's own truth: told by static transforms, or estimated from a flight that turns."""
+        random, stamps = np.random.default_rng(4), np.arange(0, 40, 0.02)
+        angles = np.stack([0.15 * np.sin(1.3 * stamps), 0.12 * np.cos(0.9 * stamps), 0.4 * stamps + 0.5 * np.sin(0.7 * stamps)], 1)
+        base = np.tile(np.eye(4), (len(stamps), 1, 1))
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', angles)
+        base[:, :3, 3] = np.stack([2 * np.cos(0.3 * stamps), 3 * np.sin(0.2 * stamps), 1.5 + 0.5 * np.sin(0.5 * stamps)], 1)
+        T_base_camera = geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))
+        own = evaluation.Track(stamps, base @ T_base_camera)
+        poses = geometry.inverse(geometry.pose(geometry.rotation_z(1.1), (1, 2, 3))) @ own.poses
+        poses[:, :3, 3] = 1.01 * (poses[:, :3, 3] + np.cumsum(random.normal(size=(len(stamps), 3)), 0) * 4e-4)
+        estimate = evaluation.Track(stamps, poses)
+        expected = evaluation.trajectory_error(own, estimate)
+        positions = np.tile(np.eye(4), (len(stamps), 1, 1))
+        positions[:, :3, 3] = (base @ T_BASE_MARKERS)[:, :3, 3]
+        naive = evaluation.trajectory_error(evaluation.Track(stamps, base @ T_BASE_MARKERS @ T_base_camera), estimate)
+        self.assertGreater(naive['rmse_m'], 1.1 * expected['rmse_m'])
+        for reference in (truth.Reference(stamps, base @ T_BASE_MARKERS), truth.Reference(stamps, positions, attitude=False)):
+            mounting = truth.estimate_mounting(reference, estimate)
+            error = evaluation.trajectory_error(truth.mounted(reference, mounting, estimate), estimate)
+            for key in ('rmse_m', 'scale_error_percent', 'rmse_with_scale_m'):
+                self.assertAlmostEqual(error[key], expected[key], delta=0.05 * abs(expected[key]), msg=key)
+            self.assertEqual(len(mounting.free), 0)
+        T_markers_camera = geometry.inverse(T_BASE_MARKERS) @ T_base_camera
+        mounting = truth.estimate_mounting(truth.Reference(stamps, base @ T_BASE_MARKERS), estimate)
+        self.assertLess(np.linalg.norm(mounting.T_b_c[:3, 3] - T_markers_camera[:3, 3]), 0.03)
+        self.assertLess(geometry.rotation_angle(mounting.T_b_c[:3, :3].T @ T_markers_camera[:3, :3]), np.radians(0.5))
+        # Turned about the vertical alone, nothing tells how high the markers are.
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', angles * [0, 0, 1])
+        poses = base @ T_base_camera
+        mounting = truth.estimate_mounting(truth.Reference(stamps, base @ T_BASE_MARKERS), evaluation.Track(stamps, poses))
+        self.assertEqual(len(mounting.free), 1)
+        self.assertGreater(abs(geometry.inverse(T_BASE_MARKERS)[:3, :3].T @ mounting.free[0])[2], 0.99)
+
+    def test_a_body_that_is_not_named_may_be_the_base(self):
+        """Of a robot that turns about the vertical alone, reference poses of base_link are told from those of a marker beside it; how high a camera sits upon it is taken from the transforms."""
+        stamps = np.arange(0, 40, 0.05)
+        base = np.tile(np.eye(4), (len(stamps), 1, 1))
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', np.stack([0 * stamps, 0 * stamps, 0.4 * stamps], 1))
+        base[:, :3, 3] = np.stack([2 * np.cos(0.3 * stamps), 3 * np.sin(0.2 * stamps), 0 * stamps], 1)
+        T_base_camera = geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.17, 0.03, 0.9))
+        estimate = evaluation.Track(stamps, base @ T_base_camera)
+        for T_base_body, of_base in ((np.eye(4), True), (geometry.pose(np.eye(3), (0.2, 0, 0)), False), (geometry.pose(geometry.rotation_z(0.1), (0, 0, 0)), False)):
+            bag = mock.Mock(reference=lambda topic, T=T_base_body: truth.Reference(stamps, base @ T))
+            track, what, (note,) = truth.camera_track(bag, '/gt', 'ground', 'base_link', T_base_camera, estimate)
+            self.assertEqual('moves as base_link does' in note, of_base, note)
+            self.assertIn('along (0.00 0.00 1.00)', note.replace('-', ''))
+            self.assertEqual(what == 'poses of base_link, by its motion', of_base)
+            off = np.abs(track.poses[:, 2, 3] - 0.9).max()
+            self.assertLess(off, 1e-6) if of_base else self.assertGreater(off, 0.5)
+
+    def test_a_reference_of_another_clock(self):
+        """A turn of 1 rad/s and 20 ms are 1.1 degrees that no odometry made. A robot that goes straight on tells no time: its poses stay as they are stamped."""
+        random, stamps = np.random.default_rng(5), np.arange(0, 40, 0.01)
+        base = np.tile(np.eye(4), (len(stamps), 1, 1))
+        angles = np.stack([0.1 * np.sin(1.3 * stamps), 0.1 * np.cos(0.9 * stamps), 1.2 * np.sin(0.8 * stamps)], 1)
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', angles)
+        base[:, :3, 3] = np.stack([2 * np.cos(0.5 * stamps), 3 * np.sin(0.4 * stamps), 1.5 + 0.5 * np.sin(0.5 * stamps)], 1)
+        straight = np.tile(np.eye(4), (len(stamps), 1, 1))
+        straight[:, 0, 3] = 0.5 * stamps
+        T_base_camera = geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))
+        for way, late, attitude in ((base, 0.02, True), (base, -0.02, True), (base, 0.0, True), (base, 0.02, False), (base, 0.35, True), (straight, 0.02, True)):
+            camera = (way @ T_base_camera)[::5]
+            camera[:, :3, 3] += np.cumsum(random.normal(size=(len(camera), 3)), 0) * 1e-4
+            camera[:, :3, :3] = camera[:, :3, :3] @ geometry.rotation_from_axes('xyz', 1e-3 * random.normal(size=(len(camera), 3)))
+            estimate = evaluation.Track(stamps[::5], camera)
+            reference = truth.Reference(stamps + late, way if attitude else way @ T_base_camera, attitude, 'markers' if attitude else 'prism')
+            bag = mock.Mock(reference=lambda topic, r=reference: r, static_transform=lambda frame, base: np.eye(4))
+            track, what, notes = truth.camera_track(bag, '/gt', 'mav', 'base_link', T_base_camera, estimate)
+            told = late if way is base else 0.0
+            found = re.search(r', (\d+) ms (earlier|later)', what)
+            self.assertEqual(found is not None, told != 0, what)
+            self.assertEqual(any('another clock' in note for note in notes), told != 0)
+            if found:
+                self.assertAlmostEqual(int(found.group(1)) * (1 if found.group(2) == 'earlier' else -1), 1e3 * told, delta=5)
+                where, known = track.at(estimate.stamps)
+                self.assertLess(geometry.rotation_angle(np.swapaxes(where, 1, 2)[:, :3, :3] @ camera[:, :3, :3])[known].mean(), np.radians(0.3))
+
+    def test_noise_of_a_reference_is_no_other_clock(self):
+        """Between two noisy poses their mean is less noisy than either: poses at the images' stamps seemed to be half an interval off."""
+        def noisy(poses, degrees, metres, random):
+            noise = geometry.rotation_from_axes('xyz', np.radians(degrees) * random.normal(size=(len(poses), 3)))
+            result = poses.copy()
+            result[:, :3, :3] = poses[:, :3, :3] @ noise
+            result[:, :3, 3] += metres * random.normal(size=(len(poses), 3))
+            return result
+        stamps = np.arange(0, 60, 1 / 30)
+        way = np.tile(np.eye(4), (len(stamps), 1, 1))
+        way[:, :3, :3] = geometry.rotation_from_axes('xyz', np.stack([0.1 * np.sin(1.3 * stamps), 0.1 * np.cos(0.9 * stamps), 0.3 * np.sin(0.8 * stamps)], 1))
+        way[:, :3, 3] = np.stack([2 * np.cos(0.5 * stamps), 3 * np.sin(0.4 * stamps), 0.5 * np.sin(0.5 * stamps)], 1)
+        for seed in range(3):
+            random = np.random.default_rng(seed)
+            reference, estimate = (evaluation.Track(stamps, noisy(way, *noise, random)) for noise in ((0.1, 0.002), (0.01, 5e-4)))
+            for attitude in (True, False):
+                self.assertEqual(reference_clock.clock_shift(reference, estimate, attitude), 0.0)
+        late = evaluation.Track(stamps + 3.0, way)
+        self.assertIn(reference_clock.clock_shift(late, estimate, True), (None, 0.0))
+        for few in ([7], [7, 97], range(0, len(stamps), 9)):  # an old map, a slow camera: nothing to compare
+            few = evaluation.Track(stamps[few], way[few])
+            self.assertEqual(reference_clock.clock_shift(reference, few, True), 0.0)
+
+
+if __name__ == '__main__':
+    rosunit.unitrun('air_ground', 'truth_test', Truth)
