@@ -285,12 +285,21 @@ TEST(MountingReport, SaysWhichRotationWouldBeRight) {
   using air_ground_common::expSO3;
   report.setGiven(expSO3(Eigen::Vector3d(0, 0, M_PI / 2)));
   const Eigen::Matrix3d turn = expSO3(Eigen::Vector3d(0.05, 0, 0));
-  for (const Eigen::Matrix3d& R : {Eigen::Matrix3d(Eigen::Matrix3d::Identity()), turn, turn}) report.update(R);
+  const Eigen::Matrix3d none = Eigen::Matrix3d::Identity(), other = expSO3(Eigen::Vector3d(0, 0.02, 0));
+  report.update(0, none);
+  report.update(20, other);
+  report.update(26, none);  // it had wandered
+  report.update(40, turn);
+  report.update(49, turn);
+  pause(300);
+  EXPECT_EQ(console.count("turned against each other"), 0);
+  report.update(51, turn);
   // q(z, 90 degrees) q(x, 0.05): (sin(0.025), sin(0.025), cos(0.025), cos(0.025)) / sqrt(2)
   EXPECT_TRUE(spinUntil([&] {
     return console.count("by 2.9 degrees") && console.count("in drone is qx qy qz qw = 0.0177 0.0177 0.7069 0.7069");
   }));
-  report.update(Eigen::Matrix3d::Identity());
+  report.update(52, none);
+  report.update(63, none);
   pause(300);
   EXPECT_EQ(console.count("turned against each other"), 1) << "after a reset what was given holds again";
 }

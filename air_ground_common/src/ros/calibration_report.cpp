@@ -22,12 +22,17 @@ void CalibrationReport::update(double k1) {
       camera_.c_str(), k1, before);
 }
 
-void MountingReport::update(const Eigen::Matrix3d& R_given_imu) {
-  constexpr double kWorthALine =
-      1;  // [degrees]: estimates wander by half of it until the MAV has turned about all axes
+void MountingReport::update(double stamp, const Eigen::Matrix3d& R_given_imu) {
+  constexpr double kWorthALine = 1;  // [degrees]
+  // Estimates wander until the MAV has turned about all axes: a degree for some seconds, with a right mounting.
+  constexpr double kWander = 0.5, kSteady = 10;  // [degrees], [s]
   const double turned = rotationAngle(Eigen::Matrix3d::Identity(), R_given_imu) / kDegree;
   health_.value("IMU turned against its mounting [degrees]", turned);
-  if (rotationAngle(told_, R_given_imu) < kWorthALine * kDegree) return;
+  if (rotationAngle(steady_, R_given_imu) > kWander * kDegree || stamp < steady_since_) {
+    steady_ = R_given_imu;
+    steady_since_ = stamp;
+  }
+  if (stamp - steady_since_ < kSteady || rotationAngle(told_, R_given_imu) < kWorthALine * kDegree) return;
   told_ = R_given_imu;
   if (turned < kWorthALine) return;  // an estimator that was reset begins with what was given
   const Eigen::Quaterniond q(R_base_imu_ * R_given_imu);

@@ -114,7 +114,7 @@ class MavVoNode : private ros_utils::Estimator {
     if (visual_)
       useAlignment(frame.stamp, visual.map_id);
     else
-      mounting_.update(visual.R_given_imu);
+      mounting_.update(last_stamp_.toSec(), visual.R_given_imu);
     const VoResult r = visual_ ? external_scale_->metric(visual) : visual;
     shell_.health().timing("image [s]", r.seconds);
     const bool usable = r.pose_valid && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();

@@ -61,6 +61,7 @@ void compareNeighbours(const BuildSettings& settings, const BackProjector& proje
   const std::vector<NeighbourEdge> edges =
       measureNeighbours(images, projector, settings.neighbours, registration.threads,
                         [&](int done, int all) { tell("comparing neighbours", done, all); });
+  report->neighbour_pairs = static_cast<int>(edges.size());
   const std::vector<NeighbourOutcome> outcomes =
       settleNeighbours(images, judgeNeighbours(images, edges, settings.neighbours), projector.model(), registration,
                        settings.neighbours, [&](int done, int all) { tell("correcting again", done, all); });

@@ -2,6 +2,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "streetview_localizer/neighbour_check.h"
 
@@ -64,6 +65,11 @@ class Jury {
     int supporters = 0;
   };
 
+  /// Standard deviations of an image's position [m] and angles [rad]: what is stated, but no less than the floors.
+  std::pair<double, double> knownTo(const NeighbourImage& image) const {
+    return {std::max(s_.position_floor, image.position_stddev), std::max(s_.angle_floor, image.orientation_stddev)};
+  }
+
   std::vector<Prediction> predictionsOf(int image) const {
     std::vector<Prediction> predictions;
     for (const int e : edges_of_[image]) {
@@ -76,9 +82,8 @@ class Jury {
       p.T_world = other.T_world_image * (forward ? edge.T_a_b : edge.T_a_b.inverse());
       const Eigen::Matrix3d R = (forward ? other.T_world_image : p.T_world).linear();  // of a, whose axes the edge has
       p.in_plan = (R * edge.covariance.topLeftCorner<3, 3>() * R.transpose()).topLeftCorner<2, 2>();
+      const auto [own, own_angle] = knownTo(other);
       const double baseline = apart(p.T_world, other.T_world_image),
-                   own_angle = std::max(s_.angle_floor, other.orientation_stddev),
-                   own = std::max(s_.position_floor, other.position_stddev),
                    turn = edge.covariance.bottomRightCorner<3, 3>().trace() / 3 + s_.measured_angle * s_.measured_angle;
       p.in_plan += Eigen::Matrix2d::Identity() * (own * own + s_.measured_position * s_.measured_position +
                                                   baseline * baseline * (own_angle * own_angle + turn));
@@ -89,8 +94,7 @@ class Jury {
   }
 
   bool contradicts(const Prediction& p, const NeighbourImage& image, double sigmas) const {
-    const double own = std::max(s_.position_floor, image.position_stddev),
-                 own_angle = std::max(s_.angle_floor, image.orientation_stddev);
+    const auto [own, own_angle] = knownTo(image);
     const Eigen::Vector2d off = (p.T_world.translation() - image.T_world_image.translation()).head<2>();
     const Eigen::Matrix2d covariance = p.in_plan + own * own * Eigen::Matrix2d::Identity();
     const double turn = air_ground_common::rotationAngle(p.T_world.linear(), image.T_world_image.linear());

@@ -221,6 +221,7 @@ TEST(NeighbourStage, TakesTheConclusionsOverIntoTheBuildAndLeavesWhatIsStored) {
   EXPECT_TRUE(unchanged(1));
   stored = -1;
   compare();
+  EXPECT_GE(report.neighbour_pairs, 2);  // the one in the middle with both
   EXPECT_TRUE(unchanged(0) && unchanged(2));
   const Panorama& p = items[1].panorama;
   if (p.registered) {

@@ -53,6 +53,8 @@ void printRemarks(const BuildReport& report) {
     std::printf("used, but stated to be less certain: %s: %s\n", image.image.c_str(), image.reason.c_str());
   for (const auto& image : report.corrected_anew)
     std::printf("corrected anew, where its neighbours place it: %s: %s\n", image.image.c_str(), image.reason.c_str());
+  if (report.neighbour_pairs > 0)
+    std::printf("%d pairs of neighbours were compared by their images\n", report.neighbour_pairs);
   if (report.gained > 0)
     std::printf("%d images could be corrected only where their neighbours place them\n", report.gained);
 }

@@ -26,7 +26,7 @@ class CalibrationReport {
 };
 
 /// How the IMU is turned against the mounting that was given: in /diagnostics, and on the console when turns have shown
-/// it, with the rotation that would be right.
+/// it for ten seconds, with the rotation that would be right.
 class MountingReport {
  public:
   /// `base_frame`: whose mountings they are. `health` must outlive this.
@@ -36,13 +36,15 @@ class MountingReport {
     R_base_imu_ = R_base_imu;
     told_.setIdentity();
   }
-  /// Called after each image: turns what the IMU reads into the axes that were given.
-  void update(const Eigen::Matrix3d& R_given_imu);
+  /// Called after each image of this stamp [s]: turns what the IMU reads into the axes that were given.
+  void update(double stamp, const Eigen::Matrix3d& R_given_imu);
 
  private:
   NodeHealth& health_;
   const std::string base_frame_;
   Eigen::Matrix3d R_base_imu_ = Eigen::Matrix3d::Identity(), told_ = Eigen::Matrix3d::Identity();
+  Eigen::Matrix3d steady_ = Eigen::Matrix3d::Identity();  ///< what it has been near since
+  double steady_since_ = 0;                               ///< [s]
 };
 
 }  // namespace air_ground_common::ros_utils

@@ -68,6 +68,7 @@ struct BuildReport {
   std::vector<Refusal> uncorrected;        ///< images used with their geotag (keep_unregistered), and why
   std::vector<Refusal> doubtful;           ///< images used though a neighbour contradicts their pose
   std::vector<Refusal> corrected_anew;     ///< images whose pose neighbours contradicted, in this run
+  int neighbour_pairs = 0;                 ///< of images whose relative pose was measured, in this run
   int gained = 0;                          ///< images that were corrected only where neighbours place them, in this run
   std::vector<std::string> remarks;        ///< of the city model
   std::vector<std::string> image_remarks;  ///< of the images as a whole
