@@ -283,6 +283,7 @@ Outcome PoseFilter::test(const State& state, const Measurement& m) const {
 
 void PoseFilter::fuse(State* state, const Measurement& m) {
   const int n = m.size();
+  if (m.source == Source::kHeading) return fuseHeading(state, m);
   if (m.source == Source::kFix && m.place != 0) {
     auto& places = state->places;
     const auto known =
@@ -308,6 +309,22 @@ void PoseFilter::fuseAgain(State* state, const Measurement& fix) {
   const Small lambda = basis.eigenvalues().tail(n);
   const SmallMatrix r = lambda.cwiseQuotient((lambda.array() - 1).matrix()).asDiagonal();
   update(state, directions * observation(fix), directions * innovationOf(*state, fix), r);
+}
+
+// What bends the field does so for metres, and where the vehicle hovers for as long as it does: such readings, too,
+// tell no more than one.
+void PoseFilter::fuseHeading(State* state, const Measurement& m) {
+  constexpr double kOneField = 3;  // [m]
+  const Eigen::Vector3d here = state->x.head<3>();
+  const bool again = state->field_at && (here - *state->field_at).norm() < kOneField;
+  if (!again) state->field_at = here;
+  double variance = m.covariance(0, 0);
+  if (again) {
+    const double lambda = state->covariance(kYaw, kYaw) / variance;
+    if (lambda <= 1 + 1e-6) return;
+    variance *= lambda / (lambda - 1);
+  }
+  update(state, observation(m), innovationOf(*state, m), SmallMatrix::Constant(1, 1, variance));
 }
 
 Outcome PoseFilter::unpredicted(const Measurement& m, Result result) const {

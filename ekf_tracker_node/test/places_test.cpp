@@ -97,6 +97,36 @@ TEST(Places, FixesOfOnePanoramaTellAsMuchAsOne) {
   EXPECT_LT((filter.state().covariance.topLeftCorner<4, 4>() - one / 4).norm(), 1e-3);
 }
 
+// A building bends the field by 20 degrees, for five minutes of hovering beside it.
+TEST(Places, AMagnetometersReadingsWhereTheVehicleHoversTellAsMuchAsOne) {
+  constexpr double kBent = 20 * M_PI / 180;
+  PoseFilter filter;
+  double time = 0;
+  for (; time < 30; ++time) {
+    filter.correct(fixAt({0, 0, 10, 0}, time < 15 ? 1 : 2, time));
+    filter.predict(still(1, 0.002));
+  }
+  Measurement heading;
+  heading.source = Source::kHeading;
+  heading.value[0] = kBent;
+  heading.covariance(0, 0) = std::pow(10 * M_PI / 180, 2);
+  for (; time < 330; ++time) {
+    filter.correct(heading);
+    filter.predict(still(1, 0.002));
+    EXPECT_LT(std::abs(filter.state().x[3]), 3 * std::sqrt(filter.state().covariance(3, 3))) << time;
+  }
+  EXPECT_EQ(filter.correct(fixAt({0, 0, 10, 0}, 3, time)).result, Result::kFused) << "15 degrees off before";
+  // Without fixes, one reading's worth is what it tells; elsewhere the field is another.
+  filter.predict(still(1, 30));
+  for (int i = 0; i < 50; ++i) filter.correct(heading);
+  EXPECT_NEAR(filter.state().covariance(3, 3), heading.covariance(0, 0), 0.1 * heading.covariance(0, 0));
+  Increment step = still(1, 1e-3);
+  step.motion << 10, 0, 0, 0;
+  filter.predict(step);
+  filter.correct(heading);
+  EXPECT_NEAR(filter.state().covariance(3, 3), 0.5 * heading.covariance(0, 0), 0.1 * heading.covariance(0, 0));
+}
+
 TEST(Places, ThreeWrongFixesOfOnePanoramaReplaceNothing) {
   for (const bool several : {false, true}) {
     for (const bool named : {true, false}) {

@@ -116,6 +116,7 @@ struct State {
   unsigned place = 0;             ///< of the first of these whose panorama is known; 0: none is
   bool several_places = false;    ///< another of these is of another panorama
   std::vector<UsedPlace> places;  ///< of the last minute, as far as they are known
+  std::optional<Eigen::Vector3d> field_at;  ///< where a magnetometer's reading last told anything that was new [m]
 
   /// Of all fixes that speak for it and whose panorama is known.
   bool ofOnePlace() const { return place != 0 && !several_places; }
@@ -172,6 +173,7 @@ class PoseFilter {
   Outcome correctByFix(const Measurement& m);
   static void fuse(State* state, const Measurement& m);
   static void fuseAgain(State* state, const Measurement& fix);
+  static void fuseHeading(State* state, const Measurement& m);
   static void supportBy(const Measurement& fix, State* state);
   enum class Solution { kNone, kContradiction, kFound };
   Solution solveScale(Hypothesis* h, const Measurement& fix) const;
