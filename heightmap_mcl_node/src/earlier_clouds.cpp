@@ -10,18 +10,14 @@ namespace {
 
 constexpr double kGrowth = 1.1;
 
-void moveBy(const air_ground_common::Similarity& S, AerialCloud* cloud) {
-  for (Eigen::Vector3f& p : cloud->points) p = (S * p.cast<double>()).cast<float>();
-  cloud->reference = S * cloud->reference;
-}
-
 }  // namespace
 
 EarlierClouds::EarlierClouds(const HeightMapLocalizerSettings& settings)
     : settings_(settings), in_group_(static_cast<std::size_t>(settings.verify)) {}
 EarlierClouds::~EarlierClouds() = default;
 
-void EarlierClouds::add(std::int64_t stamp, AerialCloud cloud, bool searched) {
+void EarlierClouds::add(AerialCloud cloud, bool searched) {
+  const std::int64_t stamp = cloud.stamp;
   if (const auto it = corrections_.find(stamp); it != corrections_.end()) {
     if (!it->second) return;
     moveBy(*it->second, &cloud);

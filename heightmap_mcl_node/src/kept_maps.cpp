@@ -44,15 +44,40 @@ void KeptMaps::setOwnUnit(bool own_unit) {
   clear();
 }
 
-bool KeptMaps::add(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& reference, std::size_t* cropped) {
+bool KeptMaps::add(const AerialCloud& cloud, std::size_t* cropped) {
   // A cloud that shows a table alone has the floor of those before it.
   LevelHistogram levels;
   for (const Cloud& kept : clouds_) levels.add(kept.map.levels);
-  HeightMap map = mapOf(points, levels, cropped);
+  HeightMap map = mapOf(cloud.points, levels, cropped);
   if (map.empty()) return false;
-  clouds_.push_back({std::move(map), reference, thinnedPoints(points)});
+  clouds_.push_back({std::move(map), {thinnedPoints(cloud.points), cloud.reference, cloud.stamp}});
   while (count() > settings_.verifyFor(own_unit_)) clouds_.pop_front();
   return true;
+}
+
+double KeptMaps::correct(const air_ground_common::CloudCorrections& since) {
+  double most = 0;
+  for (auto cloud = clouds_.begin(); cloud != clouds_.end();) {
+    const auto it = since.find(cloud->given.stamp);
+    if (it == since.end()) {
+      ++cloud;
+      continue;
+    }
+    if (!it->second) {
+      cloud = clouds_.erase(cloud);
+      most = std::numeric_limits<double>::infinity();
+      continue;
+    }
+    const AerialCloud before = cloud->given;
+    moveBy(*it->second, &cloud->given);
+    double sum = 0;
+    for (std::size_t i = 0; i < before.points.size(); ++i)
+      sum += static_cast<double>((cloud->given.points[i] - before.points[i]).norm());
+    most = std::max(most, scale_ * sum / static_cast<double>(before.points.size()));
+    ++cloud;
+  }
+  if (most > 0) remake();
+  return most;
 }
 
 void KeptMaps::dropFar() {
@@ -77,7 +102,7 @@ double KeptMaps::largest() const {
 }
 
 Eigen::Vector2d KeptMaps::reference() const {
-  const Eigen::Vector3d level = scale_ * (R_level_ * clouds_.back().reference);
+  const Eigen::Vector3d level = scale_ * (R_level_ * clouds_.back().given.reference);
   return level.head<2>();
 }
 
@@ -109,7 +134,7 @@ bool KeptMaps::updateLevel(bool ground_is_flat) {
   if (!own_unit_ && !ground_is_flat) return turnTo(Eigen::Matrix3d::Identity());
   if (own_unit_ && settings_.own_unit.max_tilt <= 0) return false;
   std::vector<Eigen::Vector3f> all;
-  for (const Cloud& kept : clouds_) all.insert(all.end(), kept.points.begin(), kept.points.end());
+  for (const Cloud& kept : clouds_) all.insert(all.end(), kept.given.points.begin(), kept.given.points.end());
   if (!own_unit_) {
     const auto floor = findDominantFloor(all, Eigen::Vector3d::UnitZ(), flatFloorRule(settings_.max_slope));
     return turnTo(floor ? air_ground_common::levelingRotation(floor->up) : Eigen::Matrix3d::Identity());
@@ -131,21 +156,21 @@ void KeptMaps::remake(double scale) {
   scale_ = scale;
   LevelHistogram levels;
   for (Cloud& kept : clouds_) {
-    kept.map = mapOf(kept.points, levels);
+    kept.map = mapOf(kept.given.points, levels);
     levels.add(kept.map.levels);
   }
 }
 
 LevelCloud KeptMaps::levelCloud(std::size_t most) const {
   std::size_t count = 0;
-  for (const Cloud& kept : clouds_) count += kept.points.size();
+  for (const Cloud& kept : clouds_) count += kept.given.points.size();
   const std::size_t step = std::max<std::size_t>(1, (count + most - 1) / most);
   LevelCloud level;
   const Eigen::Matrix3f R = R_level_.cast<float>();
   std::size_t i = 0;
   std::vector<float> x, y;
   for (const Cloud& kept : clouds_) {
-    for (const auto& p : kept.points) {
+    for (const auto& p : kept.given.points) {
       if (i++ % step != 0 || !p.allFinite()) continue;
       level.points.push_back(R * p);
       x.push_back(level.points.back().x());

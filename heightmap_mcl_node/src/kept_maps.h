@@ -8,7 +8,9 @@
 #include <utility>
 #include <vector>
 
+#include "air_ground_common/map_correction.h"
 #include "air_ground_common/vertical.h"
+#include "heightmap_mcl/aerial_cloud.h"
 #include "heightmap_mcl/localizer_settings.h"
 
 namespace heightmap_mcl {
@@ -26,9 +28,8 @@ struct LevelCloud {
 class KeptMaps {
  public:
   struct Cloud {
-    HeightMap map;                        ///< level [m]
-    Eigen::Vector3d reference;            ///< position of the MAV, as given
-    std::vector<Eigen::Vector3f> points;  ///< as given, or fewer
+    HeightMap map;      ///< level [m]
+    AerialCloud given;  ///< or fewer of its points
   };
 
   explicit KeptMaps(const HeightMapLocalizerSettings& settings) : settings_(settings) {}
@@ -41,7 +42,10 @@ class KeptMaps {
 
   /// Height map of a cloud in mav_map, on the floor of those before it; drops the oldest one beyond `verify`. Returns
   /// false, changing nothing, when it defines no cell. `cropped`: see buildHeightMap.
-  bool add(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& reference, std::size_t* cropped);
+  bool add(const AerialCloud& cloud, std::size_t* cropped);
+  /// What clouds have gone through, by their stamps; maps are made anew. Returns by how much the points of one moved on
+  /// average at the most, in metres; more than any where one was given up.
+  double correct(const air_ground_common::CloudCorrections& since);
   /// Drops the oldest clouds that together with the newest exceed air_map.max_extent: a bound on the memory of the
   /// merged map and of the search over it.
   void dropFar();

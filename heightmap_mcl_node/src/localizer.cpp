@@ -71,6 +71,7 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   estimate_ = CoarseEstimate();  // what was CONVERGED would hold the scale where it was
   if (forget_aerial) {
     kept_->clear();
+    corrections_.clear();
     floor_rivals_.clear();
     filter_map_ = HeightMap();
   }
@@ -107,9 +108,22 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   return true;
 }
 
-bool HeightMapLocalizer::keep(const AerialCloud& cloud, std::size_t* cropped) {
+void HeightMapLocalizer::correct(const air_ground_common::CloudCorrections& corrections) {
+  const auto since = air_ground_common::correctionsSince(std::exchange(corrections_, corrections), corrections);
+  const double moved = kept_->correct(since);
+  if (moved == 0) return;
+  verify_volume_.reset();
+  if (moved > settings_.air_map.resolution) restart(false);
+}
+
+bool HeightMapLocalizer::keep(const AerialCloud& given, std::size_t* cropped) {
   if (cropped) *cropped = 0;
-  if (!cloud.reference.allFinite() || !kept_->add(cloud.points, cloud.reference, cropped)) return false;
+  AerialCloud cloud = given;
+  if (const auto it = corrections_.find(cloud.stamp); it != corrections_.end()) {
+    if (!it->second) return false;
+    moveBy(*it->second, &cloud);
+  }
+  if (!cloud.reference.allFinite() || !kept_->add(cloud, cropped)) return false;
   dropFarMaps();
   return true;
 }

@@ -19,13 +19,18 @@ class Scout : public testing::Test {
     run = synthetic::makeRun(options);
     options.seed = 9;
     const synthetic::Run other = synthetic::makeRun(options);
-    for (const AerialCloud& cloud : run.aerial) earlier.add(++stamp, cloud);
+    for (const AerialCloud& cloud : run.aerial) add(cloud);
     for (AerialCloud cloud : other.aerial) {
       const Eigen::Vector3d away(60, 0, 0);
       for (auto& p : cloud.points) p += away.cast<float>();
       cloud.reference += away;
-      earlier.add(++stamp, cloud);
+      add(cloud);
     }
+  }
+
+  void add(AerialCloud cloud, bool searched = true) {
+    cloud.stamp = ++stamp;
+    earlier.add(std::move(cloud), searched);
   }
 
   /// Until a group is found, or none is left.
@@ -105,9 +110,9 @@ TEST_F(Scout, IsSearchedAgainInASmallerGroundMap) {
 TEST_F(Scout, CloudsThatNobodySearchedAreSearched) {
   setGround(10000);
   ASSERT_TRUE(search());
-  for (const AerialCloud& cloud : run.aerial) earlier.add(++stamp, cloud);
+  for (const AerialCloud& cloud : run.aerial) add(cloud);
   EXPECT_FALSE(earlier.pending()) << "HeightMapLocalizer has had them";
-  for (const AerialCloud& cloud : run.aerial) earlier.add(++stamp, cloud, false);
+  for (const AerialCloud& cloud : run.aerial) add(cloud, false);
   EXPECT_TRUE(earlier.pending());
   setGround(10000);
   EXPECT_TRUE(earlier.pending()) << "nor has it now";

@@ -29,17 +29,17 @@ HeightMapLocalizerSettings keeping(int verify) {
 TEST(KeptMaps, TheLastOnesAreKept) {
   KeptMaps kept(keeping(3));
   EXPECT_TRUE(kept.empty());
-  for (int k = 0; k < 5; ++k) ASSERT_TRUE(kept.add(block(), {0.1 * k, 0, 2}, nullptr));
+  for (int k = 0; k < 5; ++k) ASSERT_TRUE(kept.add({block(), {0.1 * k, 0, 2}}, nullptr));
   EXPECT_EQ(kept.size(), 3u);
   EXPECT_DOUBLE_EQ(kept.reference().x(), 0.4);
-  EXPECT_FALSE(kept.add({}, {9, 9, 9}, nullptr)) << "a cloud without a cell";
+  EXPECT_FALSE(kept.add({{}, {9, 9, 9}}, nullptr)) << "a cloud without a cell";
   EXPECT_EQ(kept.size(), 3u);
   EXPECT_DOUBLE_EQ(kept.reference().x(), 0.4);
 }
 
 TEST(KeptMaps, TheOldestAreDroppedWhereAllReachTooFar) {
   KeptMaps kept(keeping(4));
-  for (const float x : {0.f, 4.f, 8.5f}) ASSERT_TRUE(kept.add(block(x), {x, 0, 2}, nullptr));
+  for (const float x : {0.f, 4.f, 8.5f}) ASSERT_TRUE(kept.add({block(x), {x, 0, 2}}, nullptr));
   kept.dropFar();
   EXPECT_EQ(kept.farDropped(), 1u);
   EXPECT_EQ(kept.size(), 2u);
@@ -49,7 +49,7 @@ TEST(KeptMaps, TheOldestAreDroppedWhereAllReachTooFar) {
 
 TEST(KeptMaps, CloudsComeBackAsTheyWere) {
   KeptMaps kept(keeping(4));
-  for (const float x : {0.f, 1.f}) ASSERT_TRUE(kept.add(block(x), {x, 0, 2}, nullptr));
+  for (const float x : {0.f, 1.f}) ASSERT_TRUE(kept.add({block(x), {x, 0, 2}}, nullptr));
   const HeightMap before = kept.merged(4);
   auto clouds = kept.takeAll();
   EXPECT_TRUE(kept.empty());
@@ -60,7 +60,7 @@ TEST(KeptMaps, CloudsComeBackAsTheyWere) {
 
 TEST(KeptMaps, TheFloorThatIsSetHoldsForWhatIsMerged) {
   KeptMaps kept(keeping(2));
-  ASSERT_TRUE(kept.add(block(), {0, 0, 2}, nullptr));
+  ASSERT_TRUE(kept.add({block(), {0, 0, 2}}, nullptr));
   EXPECT_NEAR(kept.merged(1).floor, 0, 0.02);
   kept.setFloor(-0.7);
   EXPECT_DOUBLE_EQ(kept.merged(1).floor, -0.7);
@@ -78,7 +78,7 @@ TEST(KeptMaps, CloudsOfAnotherUnitAreMadeLevelAndMetric) {
   constexpr double kUnit = 0.5;
   std::vector<Eigen::Vector3f> raw;
   for (const auto& p : block()) raw.push_back((R_raw_level * p.cast<double>() / kUnit).cast<float>());
-  ASSERT_TRUE(kept.add(raw, R_raw_level * Eigen::Vector3d(1, 2, 3) / kUnit, nullptr));
+  ASSERT_TRUE(kept.add({raw, R_raw_level * Eigen::Vector3d(1, 2, 3) / kUnit}, nullptr));
   EXPECT_TRUE(kept.updateLevel(false));
   EXPECT_FALSE(kept.updateLevel(false)) << "level already";
   kept.remake(kUnit);
@@ -105,7 +105,7 @@ TEST(KeptMaps, CloudsAreLevelWhereTheMavSaysThatUpIs) {
     KeptMaps kept(keeping(2));
     kept.setOwnUnit(true);
     kept.setVertical(vertical);
-    EXPECT_TRUE(kept.add(raw, Eigen::Vector3d::Zero(), nullptr));
+    EXPECT_TRUE(kept.add({raw, Eigen::Vector3d::Zero()}, nullptr));
     kept.updateLevel(false);
     return std::acos(std::min(1.0, (kept.level() * R_raw_level * Eigen::Vector3d::UnitZ()).z()));
   };

@@ -72,7 +72,7 @@ TEST(LeaningFloors, CloudsInMetresAreLevelledAboveAFlatGroundMap) {
     for (int j = 0; j < 100; ++j)
       cloud.push_back(R * Eigen::Vector3f(0.02f * i, 0.02f * j, i < 50 && j < 50 ? 0.5f : 0.f));
   KeptMaps kept{HeightMapLocalizerSettings()};
-  ASSERT_TRUE(kept.add(cloud, {1, 1, 2}, nullptr));
+  ASSERT_TRUE(kept.add({cloud, {1, 1, 2}}, nullptr));
   EXPECT_FALSE(kept.updateLevel(false));
   ASSERT_TRUE(kept.updateLevel(true));
   EXPECT_GT((kept.level() * R.cast<double>()).col(2).z(), std::cos(0.001));

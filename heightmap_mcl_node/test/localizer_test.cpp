@@ -10,6 +10,7 @@
 #include "synthetic_world.h"
 
 using namespace heightmap_mcl;
+using air_ground_common::Pose;
 using air_ground_common::yawOf;
 
 namespace {
@@ -122,6 +123,40 @@ TEST(HeightMapLocalizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
   for (int k = 1; k <= settings.accumulate; ++k) {
     addElsewhere(k);
     EXPECT_EQ(localizer.estimate().status, Status::kConverged) << k << ": " << localizer.estimate().reason;
+  }
+}
+
+// The odometry closes a loop: later clouds lie elsewhere in mav_map than where those at hand were.
+TEST(HeightMapLocalizer, CloudsAtHandFollowCorrectionsOfTheirMap) {
+  synthetic::Options options;
+  options.seed = 501;
+  options.aerial_clouds = 12;
+  const synthetic::Run run = synthetic::makeRun(options);
+  const air_ground_common::Similarity S{1, Eigen::Matrix3d::Identity(), {0.3, 0, 0}};
+  constexpr std::int64_t kBefore = 8;
+  air_ground_common::CloudCorrections corrections;
+  for (std::int64_t stamp = 1; stamp <= kBefore; ++stamp) corrections[stamp] = S;
+  HeightMapLocalizer localizer({});
+  ASSERT_TRUE(localizer.setGround(run.ground));
+  for (std::size_t k = 0; k < run.aerial.size(); ++k) {
+    AerialCloud cloud = run.aerial[k];
+    cloud.stamp = static_cast<std::int64_t>(k) + 1;
+    Pose T_ground_mav = run.T_ground_mav[k];
+    if (cloud.stamp == kBefore + 1) {
+      localizer.correct(corrections);
+      localizer.correct(corrections);  // said again, it has happened once
+    }
+    if (cloud.stamp > kBefore) {
+      moveBy(S, &cloud);
+      T_ground_mav = T_ground_mav * Eigen::Translation3d(-S.t);
+    }
+    ASSERT_TRUE(localizer.addAerial(cloud));
+    if (k < 4) continue;
+    const CoarseEstimate& e = localizer.estimate();
+    const auto error = synthetic::errorOf(e.T_ground_mav, T_ground_mav, cloud.reference);
+    std::printf("cloud %zu: %s, %.3f m\n", k, toString(e.status), error.position);
+    EXPECT_EQ(e.status, Status::kConverged) << k << ": " << e.reason;
+    EXPECT_LT(error.position, 0.08) << k << ": 0.27 to 0.1 m where those of before stay";
   }
 }
 

@@ -23,9 +23,9 @@ class EarlierClouds {
   explicit EarlierClouds(const HeightMapLocalizerSettings& settings);
   ~EarlierClouds();
 
-  /// In mav_map, stamp in nanoseconds, each later than the one before. `searched`: by HeightMapLocalizer, in the ground
+  /// In mav_map, stamped later than the one before. `searched`: by HeightMapLocalizer, in the ground
   /// map of now.
-  void add(std::int64_t stamp, AerialCloud cloud, bool searched = true);
+  void add(AerialCloud cloud, bool searched = true);
   /// What clouds have gone through since they were published.
   void correct(const air_ground_common::CloudCorrections& corrections);
   /// In ground_map [m]. `corrected` as a whole (a loop closed): what has been searched is searched again.

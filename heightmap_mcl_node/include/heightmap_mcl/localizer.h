@@ -6,7 +6,9 @@
 #include <optional>
 #include <vector>
 
+#include "air_ground_common/map_correction.h"
 #include "air_ground_common/vertical.h"
+#include "heightmap_mcl/aerial_cloud.h"
 #include "heightmap_mcl/coarse_estimate.h"
 #include "heightmap_mcl/localizer_settings.h"
 #include "heightmap_mcl/particle_filter.h"
@@ -20,12 +22,6 @@ class KeptMaps;
 class PlaceSearch;
 class ScaleSearch;
 struct FoundPlace;
-
-/// One aerial point cloud.
-struct AerialCloud {
-  std::vector<Eigen::Vector3f> points;                  ///< in mav_map [m]; points that are not finite are ignored
-  Eigen::Vector3d reference = Eigen::Vector3d::Zero();  ///< position of the MAV in mav_map [m]
-};
 
 /// Conducts: what comes in goes to the parts named above and to the particles, and what they say becomes the estimate.
 /// Not thread-safe: one worker owns it.
@@ -49,6 +45,10 @@ class HeightMapLocalizer {
   /// for each.
   bool keepGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
   bool keepAerial(const AerialCloud& cloud, std::size_t* cropped = nullptr);
+
+  /// What clouds of the MAV's map have gone through since they were published: those at hand follow, and those to come.
+  /// Where one moved by more than a cell, the search begins anew on them: evidence was gathered where they lay.
+  void correct(const air_ground_common::CloudCorrections& corrections);
 
   /// The verdict for the present maps; `has_pose` false while one of them is missing.
   const CoarseEstimate& estimate() const { return estimate_; }
@@ -115,6 +115,7 @@ class HeightMapLocalizer {
   bool ground_is_flat_ = false;
   Eigen::Matrix3d R_ground_level_ = Eigen::Matrix3d::Identity();
   std::unique_ptr<KeptMaps> kept_;
+  air_ground_common::CloudCorrections corrections_;
   std::unique_ptr<ScaleSearch> scale_;
   std::unique_ptr<EvidenceSum> evidence_;
   ParticleFilter filter_;

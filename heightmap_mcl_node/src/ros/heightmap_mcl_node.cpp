@@ -143,13 +143,16 @@ class HeightmapMclNode {
         earlier_.setVertical(work->vertical);
         const bool searched_with_cloud = work->aerial.cloud && !work->ground_corrected && converged();
         if (work->ground) useGround(work->ground, work->ground_corrected, searched_with_cloud);
+        if (work->corrections) {
+          localizer_.correct(*work->corrections);
+          earlier_.correct(*work->corrections);
+        }
         for (const AerialMessage& msg : work->passed_by) keepForLater(msg, work->own_unit);
         for (const AerialMessage& msg : work->before) useAerial(msg, work->own_unit, false);
         if (work->aerial.cloud) {
           last_cloud = start;
           useAerial(work->aerial, work->own_unit, true);
         }
-        if (work->corrections) earlier_.correct(*work->corrections);
         work->idle ? searchEarlier(*work) : publish(*work);
       } catch (const std::exception& e) {
         health_.count(std::string("maps not usable: ") + e.what());
@@ -221,6 +224,7 @@ class HeightmapMclNode {
     if (!points) return std::nullopt;
     AerialCloud cloud;
     cloud.points = std::move(*points);
+    cloud.stamp = static_cast<std::int64_t>(msg.cloud->header.stamp.toNSec());
     if (msg.reference) {
       cloud.reference = msg.reference->T_map_body.translation();
       return cloud;
@@ -236,7 +240,7 @@ class HeightmapMclNode {
 
   void keepForLater(const AerialMessage& msg, bool own_unit) {
     auto cloud = aerialCloud(msg, own_unit);
-    if (cloud) earlier_.add(static_cast<std::int64_t>(msg.cloud->header.stamp.toNSec()), std::move(*cloud), false);
+    if (cloud) earlier_.add(std::move(*cloud), false);
   }
 
   void useAerial(const AerialMessage& msg, bool own_unit, bool search) {
@@ -263,7 +267,7 @@ class HeightmapMclNode {
       return;
     }
     aerial_stamp_ = msg.cloud->header.stamp;
-    earlier_.add(static_cast<std::int64_t>(aerial_stamp_.toNSec()), std::move(cloud));
+    earlier_.add(std::move(cloud));
     health_.timing("aerial map", (ros::WallTime::now() - start).toSec());
   }
 
