@@ -265,6 +265,7 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
     if (other_data && ++rejections_ >= settings_.lost_after) {
       tracked_.reset();
       rejections_ = disagreements_ = 0;
+      out->lost = true;
       out->reason += formatted("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);
     }
   } else if (from_tracking) {

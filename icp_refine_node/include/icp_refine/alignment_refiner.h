@@ -73,6 +73,7 @@ struct RefineOutcome {
   bool instead = false;       ///< of the tracked pose, which the coarse alignment contradicted
   bool held = false;          ///< directions that the geometry does not fix are known from the coarse alignment
   bool kept = false;          ///< the pose is the tracked one: the newest clouds agree, and tell less of it
+  bool lost = false;          ///< it was one contradiction too many: no pose is tracked any more
   HeightCheck heights;
   IcpResult icp;
 };

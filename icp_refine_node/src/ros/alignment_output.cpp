@@ -101,7 +101,10 @@ void AlignmentOutput::publish(const RefineOutcome& out, const MapIds& maps, cons
     health_.count(
         "refinements REJECTED: where they put the MAV's cloud, it contradicts the ground map. Wait for the next cloud, "
         "or for another coarse alignment");
-  if (msg.status != last_status_) ROS_INFO_STREAM("alignment " << kNames[msg.status] << ": " << out.reason);
+  if (out.lost)
+    ROS_WARN_STREAM("the alignment is lost, and tf with it: " << out.reason);
+  else if (msg.status != last_status_)
+    ROS_INFO_STREAM("alignment " << kNames[msg.status] << ": " << out.reason);
   last_status_ = msg.status;
 }
 
