@@ -119,7 +119,9 @@ class Shell : public testing::Test {
       accel_.publish(msg);
       if (k % 2 == 0) gyro_.publish(msg);
     }
-    image_.publish(toMsg(cv::Mat(6, 8, CV_8UC1, cv::Scalar(0)), "mono8", header));
+    cv::Mat pixels(6, 8, CV_8UC1, cv::Scalar(0));
+    pixels.at<std::uint8_t>(3, 3) = grey_ = static_cast<std::uint8_t>(grey_ + grey_step_);
+    image_.publish(toMsg(pixels, "mono8", header));
   }
 
   bool publishUntil(const std::function<bool()>& done) {
@@ -135,6 +137,7 @@ class Shell : public testing::Test {
   std::optional<EstimatorShell> shell_;
   ros::Publisher image_, info_, gyro_, accel_;
   int next_ = 0;
+  std::uint8_t grey_ = 0, grey_step_ = 0;  ///< of a pixel
 };
 
 TEST_F(Shell, NothingThatTheEstimatorThrowsEndsTheWorker) {
@@ -154,6 +157,23 @@ TEST_F(Shell, NothingThatTheEstimatorThrowsEndsTheWorker) {
   }));
   const int images = estimator_.images;
   EXPECT_TRUE(publishUntil([&] { return estimator_.images > images; })) << "the time that comes counts";
+}
+
+TEST_F(Shell, ADriverThatHangsIsNamedAndItsImagesMoveNoEstimate) {
+  air_ground::VoStatus said;
+  const ros::Subscriber status = handle_.subscribe<air_ground::VoStatus>(
+      "status", 100, [&](const air_ground::VoStatus::ConstPtr& msg) { said = *msg; });
+  grey_step_ = 60;
+  ASSERT_TRUE(publishUntil([&] { return estimator_.images > 3; }));
+  grey_step_ = 0;
+  ASSERT_TRUE(publishUntil([&] { return said.reason.find("the same, pixel by pixel, for") != std::string::npos; }));
+  const int before = estimator_.images, samples = estimator_.samples;
+  ASSERT_TRUE(publishUntil([&] { return estimator_.samples > samples + 100; })) << "the IMU's go on";
+  EXPECT_EQ(estimator_.images, before);
+  EXPECT_GT(
+      shell_->health().counted("images left out: their pixels are those of the image before, and the robot moves"), 5u);
+  grey_step_ = 60;
+  EXPECT_TRUE(publishUntil([&] { return estimator_.images > before && said.reason.empty(); }));
 }
 
 TEST_F(Shell, ServicesThatTakeLongHoldUpNoInput) {

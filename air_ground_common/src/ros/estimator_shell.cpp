@@ -386,6 +386,7 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
     if (with_imu_ && !estimator_.addImu(sample))
       health_.count("IMU samples refused: stamp not later than the last one's, or a reading that leaps and comes back");
   last_stamp_ = frame.stamp;
+  if (frozen_images_.repeats(*frame.image, imu)) return leaveOut(frame);
   EstimatorResult result = estimator_.process(frame);
   if (const std::string why = mountings_.moved(); result.pose_published && !why.empty()) result.withhold(why);
   imu_lead_ = estimator_.imuLead();
@@ -393,16 +394,36 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
   status.header.stamp = frame.stamp;
   status.header.frame_id = settings_.map_frame;
   status.map_id = mapId();
-  health_.state(status.state == air_ground::VoStatus::STATE_TRACKING ? health_.kOk : health_.kWarn,
-                nameOf(status.state) + (status.reason.empty() ? "" : ": " + status.reason) + ", " +
-                    std::to_string(status.inliers) + " landmarks in view" +
-                    (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
+  tell(status);
   if (result.pose_published)
     health_.published();
   else
     health_.withheld(status.reason.empty() ? nameOf(status.state) : status.reason, result.advice);
-  status_publisher_.publish(status);
   result.publish();
+}
+
+void EstimatorShell::tell(const air_ground::VoStatus& status) {
+  health_.state(status.state == air_ground::VoStatus::STATE_TRACKING ? health_.kOk : health_.kWarn,
+                nameOf(status.state) + (status.reason.empty() ? "" : ": " + status.reason) + ", " +
+                    std::to_string(status.inliers) + " landmarks in view" +
+                    (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
+  told_ = status;
+  status_publisher_.publish(status);
+}
+
+// To the estimator these are images that did not come: what it knows of the motion since is the IMU's.
+void EstimatorShell::leaveOut(const EstimatorFrame& frame) {
+  health_.count("images left out: their pixels are those of the image before, and the robot moves");
+  const double seconds = frame.stamp.toSec() - frozen_images_.since();
+  if (seconds < kPatience) return;  // some drivers and converters send an image twice now and then
+  air_ground::VoStatus status = told_;
+  status.header.stamp = frame.stamp;
+  if (status.state == air_ground::VoStatus::STATE_TRACKING) status.state = air_ground::VoStatus::STATE_LOST;
+  status.inliers = 0;
+  status.reason = "the images have been the same, pixel by pixel, for " + std::to_string(std::lround(seconds)) +
+                  " s, though the robot moves";
+  health_.withheld(status.reason, "see whether the camera's driver hangs; a simulator's camera needs noise");
+  tell(status);
 }
 
 /// A status says so, too, unless there are others or it is only a matter of time: topics have no order between them.

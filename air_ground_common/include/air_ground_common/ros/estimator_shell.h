@@ -27,6 +27,7 @@
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/ros/frozen_images.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/mountings.h"
@@ -195,6 +196,8 @@ class EstimatorShell {
   void idle();
   Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
+  void leaveOut(const EstimatorFrame& frame);
+  void tell(const air_ground::VoStatus& status);
   void resetEstimator(bool all);
   void dropEstimator();
   void keepMap();
@@ -241,6 +244,8 @@ class EstimatorShell {
   std::uint32_t map_id_offset_ = 0;
   std::string camera_frame_;
   ros::Time last_stamp_;
+  FrozenImages frozen_images_;
+  air_ground::VoStatus told_;  ///< the last status of an image
 
   // The worker's own.
   std::optional<Assembler::Frame> frame_;  ///< waits for its mounting
