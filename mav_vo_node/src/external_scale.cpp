@@ -81,6 +81,7 @@ VoResult ExternalScale::metric(const VoResult& visual) const {
   }
   r.scale = S->scale;
   r.scale_stddev = S->scale * adopted_->scale_stddev;
+  r.scale_deviation = adopted_->scale_stddev;
   if (!r.pose_valid) return r;
   r.depth_min *= S->scale;
   r.depth_max *= S->scale;

@@ -71,6 +71,7 @@ ScaleMeasurement MapScale::measurement(std::size_t image, const FrameTrajectory&
   measurement.p_imu_camera = T_camera_imu_.inverse().translation();
   measurement.covariance = images_[image].position_covariance;
   measurement.scene_distance = images_[image].scene_distance;
+  measurement.stamp = frames.stamp(frameOf(image, frames));
   return measurement;
 }
 
@@ -90,6 +91,11 @@ void MapScale::judgeAnew(const FrameTrajectory& frames, const visual_frontend::M
   const visual_frontend::InertialState& start = inertial.states.at(frames.reference(frameOf(i, frames)));
   filter_.startAt(measurement(i, frames, map), start.velocity, start.bias.accel, kRestartScaleStddev);
   for (++i; i < images_.size(); ++i) filter_.add(measurement(i, frames, map), images_[i].motion);
+}
+
+void MapScale::dropMotionSince(double stamp, const FrameTrajectory& frames) {
+  for (std::size_t i = images_.size(); i > 0 && frames.stamp(frameOf(i - 1, frames)) > stamp; --i)
+    images_[i - 1].motion.reset();
 }
 
 void MapScale::estimateAnew(const FrameTrajectory& frames, const visual_frontend::Map& map) {

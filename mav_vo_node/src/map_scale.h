@@ -33,6 +33,8 @@ class MapScale {
   /// After the adjustment of a metric map: judges it by the images since a keyframe not long before `metric_since` [s].
   void judgeAnew(const FrameTrajectory& frames, const visual_frontend::Map& map,
                  const visual_frontend::InertialMap& inertial, double metric_since);
+  /// Forgets the inertial motion since a stamp [s]: it has turned out to be wrong.
+  void dropMotionSince(double stamp, const FrameTrajectory& frames);
   /// Of a map that is not metric: all images again.
   void estimateAnew(const FrameTrajectory& frames, const visual_frontend::Map& map);
   /// Inertial motion integrated anew by `between` (two stamps, and the motion's bias), where it gives one.

@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/covariance.h"
+#include "air_ground_common/text.h"
 #include "flown_level.h"
 #include "increment.h"
 #include "odometry_impl.h"
@@ -225,7 +226,8 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
   frames.add(last_stamp, pose.pose(), map.lastKeyframe(), map);
   frames.thin(kMaxFrames);
   if (settings.use_imu)
-    scale.add(frames, map, pose.sceneDistance(), pose.result().covariance.topLeftCorner<3, 3>(), motion);
+    scale.add(frames, map, pose.sceneDistance(), pose.result().covariance.topLeftCorner<3, 3>(),
+              contradicted_links == 0 ? motion : std::optional<Preintegration>());
 
   const bool keyframe = policy.due(map.keyframe(map.lastKeyframe()), last_stamp, pose.pose(), pose.sceneDistance(),
                                    pose.result().inlier_count);
@@ -243,7 +245,18 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
   if (made_keyframe && adjuster.wholeDue(last_stamp)) adjustWholeMap();
   pose.setPose(frames.lastPose(map));
   state = metric() ? OdometryState::kTracking : OdometryState::kScaling;
-  reason = metric() ? "" : scaleReason();
+  reason = metric() ? imuReason() : scaleReason();
+}
+
+std::string Odometry::Impl::imuReason() const {
+  constexpr int kInARow = 3;
+  if (!settings.use_imu) return "";
+  if (contradicted_links >= kInARow)
+    return air_ground_common::formatted(
+        "the IMU and the images of the last %d keyframes tell of different motions, and nothing but the map holds its "
+        "scale: see whether the IMU repeats its samples, or its clock was set",
+        contradicted_links);
+  return imu.coverageProblem();
 }
 
 Increment Odometry::Impl::incrementSince(const Pose& T_map_previous) const {
@@ -288,11 +301,16 @@ air_ground_common::Vertical Odometry::Impl::flownVertical() const {
   return vertical.stddev > 0 ? vertical : across(Eigen::Vector3d::UnitX());
 }
 
+double Odometry::Impl::scaleDeviation() const {
+  if (!metric() || !scale.filter().initialized()) return 0;
+  return std::hypot(scale.relativeStddev(), scale.filter().scale() - 1);
+}
+
 // Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map
 // leave open, which grows from its origin.
 Matrix6d Odometry::Impl::mapCovariance(double tilt_stddev) const {
   Matrix6d C = pose.result().covariance;
-  const double relative = metric() && scale.filter().initialized() ? scale.relativeStddev() : 0.0;
+  const double relative = scaleDeviation();
   const Eigen::Vector3d p = pose.pose().translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
   if (!frames.empty()) C += covariances.at(frames.lastReference(), p, map);
@@ -306,7 +324,8 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->state = state;
   result->reason = reason;
   const bool uncovered = state == OdometryState::kScaling && !imu.coverageProblem().empty();
-  result->imu_at_fault = settings.use_imu && state != OdometryState::kTracking && (uncovered || !imu.problem().empty());
+  result->imu_at_fault = settings.use_imu && (state == OdometryState::kTracking ? !imuReason().empty()
+                                                                                : uncovered || !imu.problem().empty());
   result->metric = metric();
   result->map_id = map_id;
   result->map_revision = revision.count();
@@ -317,6 +336,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->increment = increment;
   result->scale = estimate.initialized() ? estimate.scale() : 1.0;
   result->scale_stddev = result->scale * scale.relativeStddev();
+  result->scale_deviation = scaleDeviation();
   if (!settings.use_imu)
     result->vertical = flownVertical();
   else if (metric())

@@ -37,6 +37,7 @@ struct Odometry::Impl {
   air_ground_common::Vertical flownVertical() const;  ///< of a map without IMU
   /// Of the camera's pose; `tilt_stddev`: of mapTilt(), 0 where the map is not metric.
   Matrix6d mapCovariance(double tilt_stddev) const;
+  double scaleDeviation() const;  ///< VoResult's
   void reset();
 
   bool tracking() const;  ///< in a map
@@ -44,6 +45,7 @@ struct Odometry::Impl {
   double mapAge() const;                    ///< [s]
   bool givesUp() const;                     ///< of a lost odometry: a new map is better
   std::string scaleReason() const;          ///< why the map is not metric
+  std::string imuReason() const;            ///< why the IMU does not hold a metric map's scale; empty: it does
   std::optional<double> turnSigma() const;  ///< of the rotation that the gyro predicts [rad]
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
   double sigma() const { return settings.pixel_sigma / (0.5 * (camera.fx + camera.fy)); }
@@ -109,6 +111,7 @@ struct Odometry::Impl {
   std::string imu_problem;
   double last_stamp = -1;              ///< of the last image [s]
   bool relocalized = false;            ///< since the last keyframe
+  int contradicted_links = 0;          ///< newest keyframes in a row to which the IMU tells of another motion
   std::optional<double> next_readout;  ///< readout time from the next image on, which is predicted with it [s]
   std::optional<Increment> increment;
   bool made_keyframe = false;

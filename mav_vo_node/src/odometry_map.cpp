@@ -68,6 +68,7 @@ void Odometry::Impl::startMap() {
   policy.reset();
   scale.begin(kUnknownTilt);
   relocalized = false;
+  contradicted_links = 0;
   ++map_id;
   state = OdometryState::kInitializing;
   reason = "new map";
@@ -165,9 +166,15 @@ KeyframeId Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   const Keyframe* previous = before == kNoKeyframe ? nullptr : &map.keyframe(before);
   std::optional<Preintegration> motion;
   if (settings.use_imu && previous) motion = imu.motion(previous->stamp, keyframe.stamp, bias);
-  if (motion && relocalized &&
-      inertial.contradicts(*motion, *previous, keyframe, imu.gyroBiasStddev(), pose.sceneDistance()))
-    motion.reset();
+  // In a metric map nothing but its scale, which no image holds, could give way to an IMU that has gone wrong.
+  const bool contradicted =
+      motion && (relocalized || metric()) &&
+      inertial.contradicts(*motion, *previous, keyframe, imu.gyroBiasStddev(), pose.sceneDistance());
+  if (contradicted) motion.reset();
+  if (contradicted && !relocalized)
+    ++contradicted_links;
+  else if (motion)
+    contradicted_links = 0;
   relocalized = false;
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   tracks.addViews(map.keyframe(id));
@@ -202,6 +209,10 @@ void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
   thinKeyframes();
   adopt(adjuster.adjustNewest(map, inertial.data(), bundleSettings(), last_stamp));
   policy.setLandmarks(mappedObservations(map.keyframe(id)));
+  if (contradicted_links == 1) {
+    scale.dropMotionSince(std::prev(map.keyframes().find(id))->second.stamp, frames);
+    scale.judgeAnew(frames, map, inertial.data(), metric_since);
+  }
   made_keyframe = true;
 }
 

@@ -105,6 +105,7 @@ void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velo
   P_.diagonal().segment<3>(kV).setConstant(kMapVelocityStddev * kMapVelocityStddev);
   window_.clear();
   R_before_ = m.R_map_imu;
+  stamp_before_ = m.stamp;
   rejected_in_a_row_ = 0;
   updates_ = rejected_updates_ = 0;
   nis_sum_ = 0;
@@ -204,9 +205,13 @@ void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<P
       P_ = F * P_ * F.transpose() + Q;
       update(measurement);
     } else {
+      // Nothing holds the map's scale meanwhile.
+      const double dt = std::max(0.0, measurement.stamp - stamp_before_);
+      P_(kS, kS) += settings_.scale_drift * settings_.scale_drift * dt;
       restartMotion(measurement);
     }
     R_before_ = measurement.R_map_imu;
+    stamp_before_ = measurement.stamp;
     return;
   }
   if (!motion) {
@@ -224,6 +229,7 @@ void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<P
   if (duration < settings_.min_start_duration || ++frames_waited_ % 5 != 0 || !start()) return;
   initialized_ = true;
   R_before_ = measurement.R_map_imu;
+  stamp_before_ = measurement.stamp;
   window_.clear();
 }
 

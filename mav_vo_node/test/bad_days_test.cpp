@@ -3,6 +3,9 @@
 
 #include <algorithm>
 #include <atomic>
+#include <map>
+#include <optional>
+#include <string>
 #include <thread>
 
 #include "rendered_flight.h"
@@ -71,19 +74,23 @@ TEST(Odometry, StartsANewMapAfterLongDarknessAtItsStart) {
   EXPECT_NE(o.frames.back().state, OdometryState::kLost);
 }
 
-// It lands, and its lens is in the grass: that is no other place.
+// It lands, and its lens is in the grass: that is no other place. Noise of a high gain has corners.
 TEST(Odometry, KeepsItsMapInTheDark) {
-  Options options;
-  options.end = 14;
-  options.black = [](double t) { return t > 9 && t < 13; };
-  OdometrySettings settings;
-  settings.lost_timeout = 1.0;
-  const Outcome o = fly(options, settings);
-  ASSERT_GT(o.metric_at, 0);
-  ASSERT_LT(o.metric_at, 8.5);
-  EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
-  EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);
-  EXPECT_LT(ate(o, o.final_poses), 0.05);
+  for (const double noise : {0.0, 5.0, 8.0}) {
+    SCOPED_TRACE(noise);
+    Options options;
+    options.end = 14;
+    options.black = [](double t) { return t > 9 && t < 13; };
+    options.black_noise = noise;
+    OdometrySettings settings;
+    settings.lost_timeout = 1.0;
+    const Outcome o = fly(options, settings);
+    ASSERT_GT(o.metric_at, 0);
+    ASSERT_LT(o.metric_at, 8.5);
+    EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
+    EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);
+    EXPECT_LT(ate(o, o.final_poses), 0.05);
+  }
 }
 
 TEST(Odometry, StartsANewMapElsewhere) {
@@ -154,6 +161,51 @@ class BusyMachine {
   std::atomic<unsigned> work_{0};
   std::vector<std::thread> threads_;
 };
+
+// No image holds the scale of a metric map: it must not be what gives way to an IMU that contradicts them.
+TEST(Odometry, AnImuThatGoesWrongInFlightIsLeftOutAndNamed) {
+  constexpr double kFault = 9;
+  const ImuSample zero;
+  std::optional<ImuSample> held;
+  const std::map<std::string, std::function<void(ImuSample&)>> faults{
+      {"repeats its last sample",
+       [&](ImuSample& s) {
+         if (!held) held = s;
+         s = {s.stamp, held->angular_velocity, held->specific_force};
+       }},
+      {"sends zeros",
+       [&](ImuSample& s) {
+         s = {s.stamp, zero.angular_velocity, zero.specific_force};
+       }},
+      {"its clock is set", [&](ImuSample& s) { s.stamp += 0.3; }}};
+  for (const auto& [name, fault] : faults) {
+    SCOPED_TRACE(name);
+    Options options;
+    options.end = 22;
+    options.spoil_imu = [&, spoil = fault](ImuSample& s) {
+      if (s.stamp > kFault) spoil(s);
+    };
+    const Outcome o = fly(options);
+    ASSERT_GT(o.metric_at, 0);
+    ASSERT_LT(o.metric_at, kFault);
+    air_ground_common::Trajectory late;
+    for (const auto& pose : o.final_poses)
+      if (pose.stamp > 17) late.push_back(pose);
+    double scale_error = 1;
+    ate(o, late, &scale_error);
+    std::printf("an IMU that %s: scale %+.2f %% at the end\n", name.c_str(), 100 * scale_error);
+    EXPECT_LT(std::abs(scale_error), 0.03);
+    for (const VoResult& r : o.frames) {
+      if (r.stamp < kFault) continue;
+      EXPECT_EQ(r.state, OdometryState::kTracking) << r.stamp;
+      if (r.stamp > kFault + 5) {
+        EXPECT_LT(std::abs(r.scale - 1), 0.05) << r.stamp;
+        EXPECT_TRUE(r.imu_at_fault) << r.stamp;
+        EXPECT_NE(r.reason.find("tell of different motions"), std::string::npos) << r.stamp << " " << r.reason;
+      }
+    }
+  }
+}
 
 TEST(Odometry, OnABusyMachineItIsLateButNoWorse) {
   Options options;

@@ -27,6 +27,7 @@ TEST(Odometry, IsMetricAndAccurate) {
     if (r.stamp < o.metric_at) continue;
     EXPECT_TRUE(r.pose_valid) << r.stamp << " " << r.reason;
     EXPECT_LT(std::abs(r.scale - 1), 5 * r.scale_stddev + 0.01);
+    EXPECT_NEAR(r.scale_deviation, std::hypot(r.scale_stddev / r.scale, r.scale - 1), 1e-12);
     EXPECT_GT(r.depth_min, 0.3);
     EXPECT_LT(r.depth_max, 4.0);
   }

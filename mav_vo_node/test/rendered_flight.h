@@ -20,11 +20,13 @@ struct Options {
   std::function<bool(double)> drop_image = [](double) { return false; };
   std::function<double(double)> gain = [](double) { return 1.0; };
   std::function<bool(double)> black = [](double) { return false; };
+  double black_noise = 0;  ///< standard deviation of black images [grey levels]
   std::function<double(double)> contrast = [](double) { return 1.0; };
   std::function<bool(double)> elsewhere = [](double) { return false; };  ///< the camera sees another world
   std::function<bool(double)> nan_imu = [](double) { return false; };
   std::function<bool(double)> silent_imu = [](double) { return false; };
-  Eigen::Matrix3d R_base_body = Eigen::Matrix3d::Identity();  ///< of base_link's axes: z of some points forwards
+  std::function<void(ImuSample&)> spoil_imu = [](ImuSample&) {};  ///< what becomes of a sample
+  Eigen::Matrix3d R_base_body = Eigen::Matrix3d::Identity();      ///< of base_link's axes: z of some points forwards
   synthetic::Flight flight;
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
   /// The IMU's axes against those that the odometry is told.
@@ -100,7 +102,9 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
          ++next) {
       ImuSample sample = samples[next];
       if (options.nan_imu(sample.stamp)) sample.angular_velocity.x() = std::nan("");
-      if (!options.silent_imu(sample.stamp)) given->addImu(sample);
+      if (options.silent_imu(sample.stamp)) continue;
+      options.spoil_imu(sample);
+      given->addImu(sample);
     }
     const Pose T = options.flight.T_world_imu(t) * T_imu_camera(options);
     outcome.truth.push_back({t, T});
@@ -108,7 +112,12 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
     const synthetic::PlateWorld& world = options.elsewhere(t) ? elsewhere : here;
     cv::Mat image = options.readout == 0 ? world.render(synthetic::camera(), T, options.gain(t), &grain)
                                          : renderRows(world, options, t, &grain);
-    if (options.black(t)) image.setTo(3);
+    if (options.black(t)) image.setTo(options.black_noise > 0 ? 15 : 3);
+    if (options.black(t) && options.black_noise > 0) {
+      cv::Mat noise(image.size(), CV_8S);
+      grain.fill(noise, cv::RNG::NORMAL, 0, options.black_noise);
+      cv::add(image, noise, image, cv::noArray(), CV_8U);
+    }
     if (const double contrast = options.contrast(t); contrast != 1) image.convertTo(image, CV_8U, contrast, 30);
     const VoResult r = given->process(t + options.replay, image);
     EXPECT_TRUE(!r.pose_valid || (r.T_map_base.matrix().allFinite() && r.covariance.allFinite()));

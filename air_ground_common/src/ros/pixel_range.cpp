@@ -38,13 +38,25 @@ class Bytes {
   std::size_t high_;
 };
 
+/// Calls `visit` with each value's bytes; what fills up the rows (step) holds none.
+template <typename Data, typename Visit>
+void forEachValue(const sensor_msgs::Image& image, Data& data, const Visit& visit) {
+  const std::size_t channels = static_cast<std::size_t>(sensor_msgs::image_encodings::numChannels(image.encoding)),
+                    row_bytes = std::min<std::size_t>(image.step, 2 * channels * image.width);
+  for (std::size_t row = 0; (row + 1) * image.step <= data.size() && row < image.height; ++row)
+    for (std::size_t i = 0; i + 1 < row_bytes; i += 2) visit(&data[row * image.step + i]);
+}
+
 }  // namespace
 
 void PixelRange::count(const sensor_msgs::Image& image) {
   const Bytes bytes(image);
   histogram_.assign(65536, 0);
-  for (std::size_t i = 1; i < image.data.size(); i += 2) ++histogram_[bytes.read(&image.data[i - 1])];
-  counted_ = image.data.size() / 2;
+  counted_ = 0;
+  forEachValue(image, image.data, [&](const std::uint8_t* value) {
+    ++histogram_[bytes.read(value)];
+    ++counted_;
+  });
 }
 
 unsigned PixelRange::quantile(double share) const {
@@ -92,6 +104,7 @@ void PixelRange::follow() {
 sensor_msgs::Image::ConstPtr PixelRange::full(const sensor_msgs::Image::ConstPtr& image) {
   if (!hasSixteenBits(image->encoding) || image->data.size() < 2) return image;
   count(*image);
+  if (counted_ == 0) return image;
   const bool more = updateBits();
   if (bits_ == 0) return image;  // black
   const double range = 1 << bits_;
@@ -106,10 +119,9 @@ sensor_msgs::Image::ConstPtr PixelRange::full(const sensor_msgs::Image::ConstPtr
   auto moved = boost::make_shared<sensor_msgs::Image>(*image);
   const Bytes bytes(*image);
   const double gain = 65536 / window_.span();
-  for (std::size_t i = 1; i < moved->data.size(); i += 2) {
-    std::uint8_t* pixel = &moved->data[i - 1];
-    bytes.write(static_cast<unsigned>(std::clamp((bytes.read(pixel) - window_.low) * gain, 0.0, 65535.0)), pixel);
-  }
+  forEachValue(*image, moved->data, [&](std::uint8_t* value) {
+    bytes.write(static_cast<unsigned>(std::clamp((bytes.read(value) - window_.low) * gain, 0.0, 65535.0)), value);
+  });
   return moved;
 }
 

@@ -116,7 +116,7 @@ struct Increment {
 struct VoResult {
   double stamp = 0;  ///< [s]
   OdometryState state = OdometryState::kWaiting;
-  std::string reason;                  ///< why not tracking; empty while it is
+  std::string reason;                  ///< why not tracking; while it is, what is wrong with the IMU
   bool imu_at_fault = false;           ///< the reason is an IMU that contradicts or misses the images: no motion helps
   bool pose_valid = false;             ///< the poses below are of this image
   Pose T_map_base = Pose::Identity();  ///< [m], or the visual unit while not metric
@@ -131,8 +131,11 @@ struct VoResult {
   int inliers = 0;                      ///< landmarks that agree with the pose
   double depth_min = 0, depth_max = 0;  ///< 5 % and 95 % quantile of the landmarks' depth [m]; 0 unknown
   double scale = 1, scale_stddev = 0;   ///< metric over map unit; the deviation is infinite while unknown
-  std::uint32_t map_revision = 0;       ///< counts changes of the calibration: what earlier poses made is off
-  std::uint32_t map_corrections = 0;    ///< counts changes of earlier poses by more than 0.2 % of the scene's distance
+  /// Relative deviation of lengths in a metric map, with what `scale` says by now that they are off; 0 while not
+  /// metric.
+  double scale_deviation = 0;
+  std::uint32_t map_revision = 0;     ///< counts changes of the calibration: what earlier poses made is off
+  std::uint32_t map_corrections = 0;  ///< counts changes of earlier poses by more than 0.2 % of the scene's distance
   /// Up in the map: its z axis where it is level; without IMU, what the vehicle's level flight tells.
   air_ground_common::Vertical vertical;
   ImuBias imu_bias;                ///< as used for this image

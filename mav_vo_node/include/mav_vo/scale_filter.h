@@ -37,6 +37,7 @@ struct ScaleMeasurement {
   Eigen::Vector3d p_imu_camera = Eigen::Vector3d::Zero();   ///< camera's position in the IMU frame: the lever arm [m]
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();     ///< of p_map_camera, from the landmarks' image noise
   double scene_distance = 1.0;                              ///< median distance of the points seen [visual unit]
+  double stamp = 0;                                         ///< [s]
 };
 
 /// The state's error is (position 3, velocity 3, accelerometer bias 3, horizontal gravity 2, logarithm of the scale 1).
@@ -128,6 +129,7 @@ class ScaleFilter {
   State state_;
   Covariance P_ = Covariance::Zero();
   Eigen::Matrix3d R_before_ = Eigen::Matrix3d::Identity();
+  double stamp_before_ = 0;  ///< [s]
   int rejected_ = 0;
   int rejected_in_a_row_ = 0;
   int updates_ = 0, rejected_updates_ = 0;  ///< since the start

@@ -101,9 +101,7 @@ air_ground::VoIncrement incrementMessage(const std_msgs::Header& header, const V
     for (int column = 0; column < 4; ++column)
       increment.covariance[4 * row + column] = r.increment->covariance(row, column);
   increment.metric = r.metric;
-  // Relative: the increment is metric, whatever the map's unit.
-  const double relative = r.scale > 0 ? r.scale_stddev / r.scale : 0;
-  increment.scale_variance = r.metric ? relative * relative : 0.0;
+  increment.scale_variance = r.scale_deviation * r.scale_deviation;
   increment.inliers = static_cast<std::uint32_t>(r.inliers);
   increment.map_id = r.map_id;
   return increment;
