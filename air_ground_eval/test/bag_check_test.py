@@ -423,6 +423,12 @@ class BagCheck(unittest.TestCase):
             found = bag_check.check(path, city=True)
             self.assertEqual([f.text for f in found if f.level == bag_check.ERROR], [])
             self.assertTrue(any('/gps/fix is missing' in f.text for f in found if f.level == bag_check.WARNING))
+            self.assertFalse([f.text for f in found if '/ground_truth/mav' in f.text and f.level != bag_check.OK])
+            with rosbag.Bag(path, 'a') as bag:
+                for t in np.arange(100, 103, 0.1):
+                    bag.write('/vicon/hex', messages.pose_stamped(geometry.pose(), t, 'vicon'), messages.stamp(t))
+            vicon = bag_check.check(path, {'/ground_truth/mav': '/vicon/hex'}, city=True)
+            self.assertTrue(any("/vicon/hex is in frame 'vicon'" in f.text for f in vicon if f.level == bag_check.WARNING), vicon)
             other = bag_check.check(path, bases={'mav': 'imu_link'}, city=True)
             self.assertTrue(any('does not connect imu_link' in f.text for f in other if f.level == bag_check.ERROR))
 

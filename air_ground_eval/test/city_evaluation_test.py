@@ -10,12 +10,13 @@ import numpy as np
 import rosbag
 import rosunit
 from scipy.spatial.transform import Rotation, Slerp
+from geometry_msgs.msg import PointStamped, TransformStamped
 from sensor_msgs.msg import NavSatFix
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [os.path.join(HERE, '..', 'scripts'), HERE]
 import as_module  # noqa: E402
-from air_ground_eval import bag_reader, city_database, city_evaluation, city_report, city_table, evaluation, geometry, messages, track_calibration, zurich_urban  # noqa: E402
+from air_ground_eval import bag_reader, city_database, city_evaluation, city_report, city_table, city_truth, evaluation, geometry, messages, track_calibration, zurich_urban  # noqa: E402
 from air_ground_eval.recording import DatasetError  # noqa: E402
 
 DURATION = 20.0
@@ -220,6 +221,92 @@ class CityEvaluation(unittest.TestCase):
                                                 city_evaluation.Fix(5.0, near, np.eye(6))])
         self.assertEqual([row['wrong'] for row in rows], [False, True])
         self.assertAlmostEqual(rows[0]['normalised'], 4.0)
+
+    def test_headings_between_poses_a_second_apart(self):
+        """A fix that is turned by 10 degrees is wrong wherever the reference turns steadily; where it begins to turn by 30 degrees a second in between, nothing is said."""
+        seconds, at = np.arange(0, 21.0), np.arange(0.5, 20.0)
+        turned = [city_evaluation.Fix(t, truth_at(t) @ geometry.pose(geometry.rotation_z(np.radians(10))), np.eye(6)) for t in at]
+        way = city_evaluation.Way(seconds, np.array([truth_at(t) for t in seconds]))
+        rows = city_evaluation.fix_errors(way, turned)
+        self.assertEqual([row['wrong'] for row in rows], [True] * len(at))
+        np.testing.assert_allclose(np.degrees([row['yaw_rad'] for row in rows]), 10, atol=0.5)
+        turns = np.radians(30) * np.maximum(seconds - 10, 0)
+        way = city_evaluation.Way(seconds, np.array([truth_at(0) @ geometry.pose(geometry.rotation_z(yaw)) for yaw in turns]))
+        np.testing.assert_array_equal(at[~way.heading_known(at)], [9.5, 10.5])
+        for way in (city_evaluation.Way(seconds[:2], way.poses[:2]), city_evaluation.Way(seconds, way.poses, attitude=False)):
+            self.assertFalse(way.heading_known(at).any())
+
+    def build(self, folder, truth, **more):
+        """(values, table) of a tracker that is right from 2 to 18 s."""
+        at = np.arange(2, 18.0, 0.1)
+        tracker = city_evaluation.estimated_from_poses(at, np.array([truth_at(t) for t in at]), np.tile(np.eye(6), (len(at), 1, 1)))
+        recorded = city_report.Recorded(**{**dict(bag='x.bag', out=folder, begin=0.0, end=18.0, wall_time=20.0, tracker=tracker, updates=[], truth=truth), **more})
+        report = city_report.Report(recorded)
+        return report.build(), report.table()
+
+    def test_how_many_fixes_are_compared_is_said(self):
+        """The truth ends at 10 s, and has a pose a second up to 5 s; of 16 fixes two are wrong before that, and all are after it."""
+        stamps = np.append(np.arange(0, 5.0), np.arange(5, 10.0, 0.1))
+        truth = evaluation.Track(stamps, np.array([truth_at(t) for t in stamps]))
+        shift = {3.5: geometry.pose(geometry.rotation_z(0.2)), 7.5: geometry.pose(translation=(3, 0, 0))}
+        fixes = [city_evaluation.Fix(t, truth_at(t) @ shift.get(t, np.eye(4) if t < 10 else geometry.pose(translation=(9, 0, 0))), np.eye(6)) for t in np.arange(2.5, 18.0)]
+        updates = [city_evaluation.Update(fix.stamp, city_report.FUSED, used=fix.stamp) for fix in fixes]
+        with tempfile.TemporaryDirectory() as folder:
+            values, table = self.build(folder, truth, fixes=fixes, updates=updates)
+            self.assertEqual([values[key] for key in ('fixes', 'fixes_compared', 'fixes_heading_compared', 'fixes_wrong')], [16, 8, 8, 2])
+            self.assertIn('; wrong: 2 of 8 compared, headings of 8', table)
+            # 2 m/s along the way, and more across it: fixes after the truth's end are no updates at its end.
+            self.assertAlmostEqual(values['tracker_distance_between_updates_mean_m'], 2.1, delta=0.15)
+            values, table = self.build(folder, truth, fixes=fixes[8:])
+            self.assertEqual((values['fixes_compared'], 'none compared' in table), (0, True))
+            values, table = self.build(folder, truth, fixes=fixes, truth_attitude=False)
+            self.assertEqual([values.get(key) for key in ('fixes_compared', 'fixes_heading_compared', 'fixes_wrong', 'tracker_yaw_error_mean_deg', 'tracker_nees_mean')], [8, 0, 1, None, None])
+            self.assertAlmostEqual(values['tracker_position_error_max_m'], 0, delta=0.04)
+            self.assertIn('wrong: 1 of 8 compared, headings of 0', table)
+
+    def test_the_bags_clock_and_that_of_the_stamps(self):
+        """Recorded 1000 s later than stamped, as by another clock: the tracker covers all the same."""
+        with tempfile.TemporaryDirectory() as folder:
+            values, _ = self.build(folder, None, begin=1000.0, end=1018.0, delay=1000.0)
+            self.assertGreater(values['tracker_coverage_since_start_percent'], 99)
+
+    def test_what_the_ground_truth_is_of(self):
+        """By hand: markers 0.5 m ahead of base_link, turned by 90 degrees; a prism; what is no reference."""
+        T_base_markers = geometry.pose(geometry.rotation_z(np.pi / 2), (0.5, 0, 0))
+
+        def stamped(kind, t, frame='world', **more):
+            message = kind(**more)
+            message.header.stamp, message.header.frame_id = messages.stamp(t), frame
+            return message
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                bag.write('/tf_static', messages.static_transforms([('base', 'markers', T_base_markers)], 100), messages.stamp(100))
+                for t in (100, 101, 102):
+                    for topic, child, frame in (('/vicon', 'markers', 'world'), ('/vicon/other', 'loose', 'vicon')):
+                        pose = stamped(TransformStamped, t, frame, child_frame_id=child)
+                        T = truth_at(t) @ T_base_markers
+                        pose.transform = messages.static_transforms([('a', 'b', T)], t).transforms[0].transform
+                        bag.write(topic, pose, messages.stamp(t))
+                    prism = stamped(PointStamped, t)
+                    prism.point.x = 2.0 * t
+                    for topic, message in (('/prism', prism), ('/gps/fix', stamped(NavSatFix, t)), ('/unstamped', stamped(PointStamped, 0))):
+                        bag.write(topic, message, messages.stamp(t))
+            facts = bag_reader.BagFacts(path)
+            track, attitude, notes = city_truth.base_track(facts, '/vicon', 'base', 'world')
+            np.testing.assert_allclose(track.poses, [truth_at(t) for t in (100, 101, 102)], atol=1e-9)
+            self.assertEqual((attitude, notes), (True, []))
+            track, attitude, notes = city_truth.base_track(facts, '/vicon/other', 'base', 'world')
+            np.testing.assert_allclose(track.poses[0], truth_at(100) @ T_base_markers, atol=1e-9)
+            self.assertRegex(' '.join(notes), "is in frame 'vicon', and is taken for one in 'world'.* where loose is, which no static transform connects with base")
+            track, attitude, (note,) = city_truth.base_track(facts, '/prism', 'base', 'world')
+            self.assertEqual((attitude, list(track.poses[:, 0, 3])), (False, [200.0, 202.0, 204.0]))
+            self.assertIn('/prism tells positions alone', note)
+            for topic, why in (('/none', 'the bag has no /none'), ('/gps/fix', 'is of type sensor_msgs/NavSatFix; a reference is of geometry_msgs/PoseStamped'),
+                               ('/unstamped', 'holds fewer than two poses that have a stamp')):
+                track, attitude, (note,) = city_truth.base_track(facts, topic, 'base', 'world')
+                self.assertEqual((track, why in note), (None, True), note)
 
     def test_frame(self):
         """Against the geodetic definition: a minute of latitude is 1852 m to a percent, east is east, up is up."""

@@ -5,7 +5,7 @@ import shlex
 
 import numpy as np
 
-from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_missing, bag_names, own_outputs
+from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_missing, bag_names, city_truth, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_missing import OPTIONAL
 from .bag_reader import APART, POSE_TYPES, BagFacts, open_bag
@@ -147,8 +147,10 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             findings += bag_imu.gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
         elif standard == '/barometer':
             findings += _pressure(topic, streams[topic].spread)
-        elif standard in CITY or city or standard.endswith('imu/accel') or not facts.counts[topic]:
+        elif standard in CITY or standard.endswith('imu/accel') or not facts.counts[topic]:
             continue
+        elif city:
+            findings += [Finding(WARNING, text) for text in city_truth.doubts(facts, topic, bases['mav'])]
         elif streams[topic].frames != {'world'} and present.keys() >= {f'/ground_truth/{robot}' for robot in IMAGES}:
             findings.append(Finding(WARNING, f'{topic} is in frame {quoted(streams[topic].frames)}; the report takes both robots\' as one frame'))
     findings += _pairs(present, streams)

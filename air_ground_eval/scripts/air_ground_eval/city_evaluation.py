@@ -11,6 +11,9 @@ from . import geometry
 # A fix farther off than this is wrong, whatever it states.
 WRONG_POSITION = 2.0  # [m]
 WRONG_YAW = np.radians(5.0)
+# A reference once a second would leave out nine fixes in ten. Over such a gap an acceleration of 1 m/s^2 makes 0.13 m of position.
+FIX_GAP = 1.05  # [s]
+STEADY_YAW = np.radians(1.0)  # heading that a change of the turn rate may make in such a gap: a fifth of what is wrong
 WAY_STEP = 25.0  # [m]: rows of the table along the way
 
 
@@ -85,9 +88,10 @@ class Fix:
 
 @dataclass
 class Way:
-    """Reference along which errors are measured: stamps, poses and the distance travelled [m]."""
+    """Reference along which errors are measured: stamps, poses and the distance travelled [m]. attitude: false where only the positions of the poses are known."""
     stamps: np.ndarray
     poses: np.ndarray
+    attitude: bool = True
     distance: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -97,9 +101,25 @@ class Way:
     def distance_at(self, stamps):
         return np.interp(stamps, self.stamps, self.distance)
 
+    def covers(self, stamps):
+        """Mask of the stamps within its time: distance_at() gives its ends beyond."""
+        return (stamps >= self.stamps[0] - 1e-6) & (stamps <= self.stamps[-1] + 1e-6)
+
     def at(self, stamps, max_gap=0.5):
         """Interpolated poses and a mask of the stamps that are covered."""
         return geometry.interpolate_poses(self.stamps, self.poses, stamps, max_gap)
+
+    def heading_known(self, stamps):
+        """Mask of the stamps at which interpolation tells the heading: as for at(), and over gaps of up to FIX_GAP where the turn rate before and after says that it is steady."""
+        if not self.attitude or len(self.stamps) < 2:
+            return np.zeros(len(stamps), bool)
+        gaps = np.diff(self.stamps)
+        change = np.abs(np.diff(wrapped(np.diff(yaw_of(self.poses))) / gaps))
+        change = np.append(change, change[-1:]) if len(change) else np.full(1, np.inf)
+        # A turn rate that changes by `change` from gap to gap bends the yaw by an eighth of that, times the gap, off a straight line.
+        steady = gaps / 8 * np.maximum(change, np.append(change[:1], change[:-1])) <= STEADY_YAW
+        gap = np.clip(np.searchsorted(self.stamps, stamps, side='right') - 1, 0, len(gaps) - 1)
+        return self.at(stamps)[1] | self.at(stamps, FIX_GAP)[1] & steady[gap]
 
 
 def wrapped(angles):
@@ -196,10 +216,10 @@ def dead_reckoning(increments, start_stamp, start, start_covariance, scale=1.0, 
 
 
 def errors(way, estimated):
-    """Position errors (n, 3) and yaw errors (n,) (None without yaw) at the stamps that the way covers, and their mask."""
+    """Position errors (n, 3) and yaw errors (n,) (None where either has no attitude) at the stamps that the way covers, and their mask."""
     reference, valid = way.at(estimated.stamps)
     offset = estimated.positions[valid] - reference[valid][:, :3, 3]
-    yaw = None if estimated.yaws is None else wrapped(estimated.yaws[valid] - yaw_of(reference[valid]))
+    yaw = None if estimated.yaws is None or not way.attitude else wrapped(estimated.yaws[valid] - yaw_of(reference[valid]))
     return offset, yaw, valid
 
 
@@ -244,16 +264,14 @@ def statistics(way, estimated):
 
 
 def fix_errors(way, fixes):
-    """Rows of the localizer's fixes: stamp, position and yaw error, normalised error squared, wrong or not."""
+    """Rows of the localizer's fixes that have a truth: stamp, position and yaw error, normalised error squared, wrong or not. Yaw and normalised error are NaN where the truth tells no heading."""
     rows = []
     if way is None or not fixes:
         return rows
-    # References once a second would leave out nine fixes in ten: over such a gap an acceleration of 1 m/s^2 makes 0.13 m, but a turn many degrees.
     stamps = np.array([f.stamp for f in fixes])
-    reference, valid = way.at(stamps, max_gap=1.05)
-    _, turns = way.at(stamps)
+    reference, valid = way.at(stamps, FIX_GAP)
     index = [0, 1, 2, 5]
-    for fix, truth, known, turn_known in zip(fixes, reference, valid, turns):
+    for fix, truth, known, turn_known in zip(fixes, reference, valid, way.heading_known(stamps)):
         if not known:
             continue
         offset = fix.pose[:3, 3] - truth[:3, 3]

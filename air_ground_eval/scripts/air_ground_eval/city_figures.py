@@ -73,7 +73,7 @@ def draw_uncertainty(path, data):
             if len(stamps):
                 at = np.clip(np.searchsorted(estimated.stamps, stamps, side='right'), 0, len(estimated) - 1)
                 axis.plot(travelled[at], unit * estimated.deviations[at, i], marker, mfc='none', mec=colour, ms=0.7 * size)
-            if name in data['errors']:
+            if name in data['errors'] and (i < 3 or data['errors'][name][2] is not None):
                 valid, offset, yaw = data['errors'][name]
                 axis.plot(travelled[valid], unit * np.abs(yaw if i == 3 else offset[:, i]), color=colour, lw=0.7, alpha=0.6, label=f'{label}: error')
         axis.axhline(papers[i], color='0.6', lw=0.8, ls=':')

@@ -20,7 +20,7 @@ CORRECTING = UPDATING + (AGREED,)  # are part of it
 
 @dataclass
 class Recorded:
-    """What a replay left behind. truth: Track of base_link in world, or None."""
+    """What a replay left behind. truth: Track of base_link in world, or None. begin, end: of the bag [s]; delay: of its clock after that of the stamps [s]."""
     out: str
     bag: str
     begin: float
@@ -40,6 +40,8 @@ class Recorded:
     gps: Optional[Estimated] = None
     gps_topic: str = ''
     truth: Optional[Track] = None
+    truth_attitude: bool = True  # false: positions alone
+    delay: float = 0.0
     city: City = field(default_factory=City)
     states: dict = field(default_factory=dict)
     tf_publishers: dict = field(default_factory=dict)
@@ -67,7 +69,7 @@ class Report:
         r, v = self.r, self.values
         v.update({'bag': os.path.basename(r.bag), 'bag_duration_s': r.end - r.begin, 'wall_time_s': r.wall_time,
                   'ground_truth_in_bag': r.truth is not None, 'tracker_started': len(r.tracker) > 0})
-        way = Way(r.truth.stamps, r.truth.poses) if r.truth is not None else None
+        way = Way(r.truth.stamps, r.truth.poses, r.truth_attitude) if r.truth is not None else None
         self._gather(way)
         line = way or (Way(r.tracker.stamps, r.tracker.poses) if len(r.tracker) > 1 else None)
         self.distance_at = line.distance_at if line is not None else np.zeros_like
@@ -80,6 +82,7 @@ class Report:
         if way is not None and len(r.tracker):
             self._say_what_is_compared(way)
         self._ratios()
+        self._updates(line)
         self._fixes(way)
         if way is not None:
             ends, self.table_along = evaluate.along_the_way(way, self.sources)
@@ -106,7 +109,7 @@ class Report:
         first = np.append(r.tracker.positions[0], r.tracker.yaws[0])
         # Without mav/odometry (a MAV without IMU) as the tracker levels it.
         attitudes = {stamp: T[:3, :3] for stamp, T in (r.attitudes.items() if r.attitudes else zip(r.tracker.stamps, r.tracker.poses))}
-        self.values['tracker_coverage_since_start_percent'] = 100 * coverage(r.tracker.stamps, start, r.end)
+        self.values['tracker_coverage_since_start_percent'] = 100 * coverage(r.tracker.stamps, start, r.end - r.delay)
         increments, gap = evaluate.unbroken(r.increments, start)
         if gap:
             self.values['vo_ends_after_s'] = float(gap[0] - start)
@@ -116,7 +119,7 @@ class Report:
             return evaluate.dead_reckoning(increments, start, state, covariance, r.start_scale, attitudes, r.start_scale_stddev, r.noise)
 
         self.sources['vo'] = reckon(first, r.tracker.covariances[0])
-        if way is not None:
+        if way is not None and way.attitude:
             truth, valid = way.at(np.array([start]))
             if valid[0]:  # what the odometry alone is worth: no error at its start
                 ideal = reckon(np.append(truth[0, :3, 3], evaluate.yaw_of(truth)[0]), np.zeros((4, 4)))
@@ -141,15 +144,9 @@ class Report:
             if v.get(f'{name}_position_error_mean_m') and 'tracker_position_error_mean_m' in v:
                 v[f'tracker_error_over_{name}_error'] = v['tracker_position_error_mean_m'] / v[f'{name}_position_error_mean_m']
 
-    def _fixes(self, way):
+    def _updates(self, line):
+        """What became of the fixes at the trackers. line: the Way that distances between them are taken along, or None."""
         r, v = self.r, self.values
-        v['images_tried'] = int(sum(r.matches.values()))
-        for status, count in sorted(r.matches.items()):
-            v[f'images_{status}'] = int(count)
-        v['fixes'] = len(r.fixes)
-        if r.match_times:
-            v['localizer_time_an_image_mean_s'] = float(np.mean(r.match_times))
-            v['localizer_time_an_image_max_s'] = float(np.max(r.match_times))
         for name, updates in (('tracker', r.updates), ('magnetometer', r.magnetometer_updates)):
             if name not in self.sources:
                 continue
@@ -161,23 +158,39 @@ class Report:
             nis = [u.nis for u in updates if u.result == FUSED and np.isfinite(u.nis)]
             if nis:
                 v[f'{name}_nis_mean'] = float(np.mean(nis))
-            at = np.sort(self.distance_at(np.array([u.stamp for u in updates if u.result in UPDATING])))
-            if len(at) > 1:
-                v[f'{name}_distance_between_updates_mean_m'] = float(np.mean(np.diff(at)))
-                v[f'{name}_distance_between_updates_max_m'] = float(np.max(np.diff(at)))
+            stamps = np.array([u.stamp for u in updates if u.result in UPDATING])
+            steps = np.diff(np.sort(line.distance_at(stamps[line.covers(stamps)]))) if line is not None else ()
+            if len(steps):
+                v[f'{name}_distance_between_updates_mean_m'] = float(np.mean(steps))
+                v[f'{name}_distance_between_updates_max_m'] = float(np.max(steps))
+
+    def _fixes(self, way):
+        r, v = self.r, self.values
+        v['images_tried'] = int(sum(r.matches.values()))
+        for status, count in sorted(r.matches.items()):
+            v[f'images_{status}'] = int(count)
+        v['fixes'] = len(r.fixes)
+        if r.match_times:
+            v['localizer_time_an_image_mean_s'] = float(np.mean(r.match_times))
+            v['localizer_time_an_image_max_s'] = float(np.max(r.match_times))
+        if way is None:
+            return
         rows = evaluate.fix_errors(way, r.fixes)
-        if rows:
-            position = np.array([row['position_m'] for row in rows])
-            yaw = np.degrees([row['yaw_rad'] for row in rows])
-            yaw = yaw[np.isfinite(yaw)] if np.any(np.isfinite(yaw)) else np.full(1, np.nan)
-            v.update({'fix_position_error_median_m': float(np.median(position)), 'fix_position_error_95_percent_m': float(np.quantile(position, 0.95)),
-                      'fix_position_error_max_m': float(position.max()), 'fix_yaw_error_median_deg': float(np.median(yaw)),
-                      'fix_yaw_error_max_deg': float(yaw.max()), 'fix_normalised_error_squared_mean': float(np.nanmean([row['normalised'] for row in rows])),
-                      'fixes_wrong': int(sum(row['wrong'] for row in rows))})
-            wrong = {row['stamp'] for row in rows if row['wrong']}
-            for name, updates in (('tracker', r.updates), ('magnetometer', r.magnetometer_updates)):
-                if name in self.sources:
-                    v[f'{name}_wrong_fixes_fused'] = sum(u.result in CORRECTING and any(abs(u.stamp - s) < 1e-4 for s in wrong) for u in updates)
+        headings = [row for row in rows if np.isfinite(row['yaw_rad'])]
+        v['fixes_compared'], v['fixes_heading_compared'] = len(rows), len(headings)
+        if not rows:
+            return
+        position = np.array([row['position_m'] for row in rows])
+        v.update({'fix_position_error_median_m': float(np.median(position)), 'fix_position_error_95_percent_m': float(np.quantile(position, 0.95)),
+                  'fix_position_error_max_m': float(position.max()), 'fixes_wrong': int(sum(row['wrong'] for row in rows))})
+        if headings:
+            yaw = np.degrees([row['yaw_rad'] for row in headings])
+            v.update({'fix_yaw_error_median_deg': float(np.median(yaw)), 'fix_yaw_error_max_deg': float(yaw.max()),
+                      'fix_normalised_error_squared_mean': float(np.nanmean([row['normalised'] for row in headings]))})
+        wrong = {row['stamp'] for row in rows if row['wrong']}
+        for name, updates in (('tracker', r.updates), ('magnetometer', r.magnetometer_updates)):
+            if name in self.sources:
+                v[f'{name}_wrong_fixes_fused'] = sum(u.result in CORRECTING and any(abs(u.stamp - s) < 1e-4 for s in wrong) for u in updates)
 
     def _draw(self, way):
         r = self.r

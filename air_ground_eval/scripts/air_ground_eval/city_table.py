@@ -57,8 +57,11 @@ def _along(v, names, along):
 def _localizer_lines(v):
     text = f'images tried {v["images_tried"]}, fixes {v["fixes"]}'
     if 'fix_position_error_median_m' in v:
+        yaw = f', yaw median {v["fix_yaw_error_median_deg"]:.1f} deg' if 'fix_yaw_error_median_deg' in v else ''
         text += (f'; their error: median {v["fix_position_error_median_m"]:.2f} m, 95 % {v["fix_position_error_95_percent_m"]:.2f} m, greatest '
-                 f'{v["fix_position_error_max_m"]:.2f} m, yaw median {v["fix_yaw_error_median_deg"]:.1f} deg; wrong: {v["fixes_wrong"]}')
+                 f'{v["fix_position_error_max_m"]:.2f} m{yaw}; wrong: {v["fixes_wrong"]} of {v["fixes_compared"]} compared, headings of {v["fixes_heading_compared"]}')
+    elif v['fixes'] and 'fixes_compared' in v:
+        text += '; none compared: the ground truth tells nothing at their times'
     lines = [text]
     if 'tracker_fixes_fused' in v:
         text = f'fused {v["tracker_fixes_fused"]}, refused {v["tracker_fixes_refused"]}'
