@@ -19,7 +19,7 @@ from sensor_msgs.msg import CameraInfo, FluidPressure, Image
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
-from air_ground_eval import bag_check, bag_imu, bag_reader, messages, pixel_range  # noqa: E402
+from air_ground_eval import bag_check, bag_imu, bag_reader, geometry, messages, pixel_range  # noqa: E402
 from bag_layouts_test import CAMERA, BagLayouts, Recording, load  # noqa: E402
 
 
@@ -195,6 +195,25 @@ class BagChoices(unittest.TestCase):
         self.assertIn('the bag has /gt of this type: set mav_truth:=', output)
         recording.poses('/vicon/uav')
         self.assert_arguments(self.check()[2], mav_truth='/vicon/uav', ground_truth=None)
+
+    def test_the_body_of_a_motion_capture_that_is_the_mav(self):
+        """Not the first by name: that with the name of its base frame, or of its topics; what stands still is none."""
+        def body(recording, name, speed=1.0):
+            return recording.add(f'/vicon/{name}/{name}', 50, lambda t: messages.pose_stamped(geometry.pose(translation=(speed * (t - 100), 0, 0)), t, 'vicon'))
+
+        for frames, image, bodies, taken in ((('hex1/base', 'hex1/cam'), '/cam0/image_raw', ('box1', 'hex1', 'wand'), 'hex1'), (('base_link', 'cam'), '/hex1/image_raw', ('box1', 'hex1', 'wand'), 'hex1'),
+                                             (('base_link', 'cam'), '/cam0/image_raw', ('box', 'quad'), 'quad')):
+            recording = self.recording(frames).camera(image, 'mono8', frames[1])
+            for name in (*bodies, 'table'):
+                body(recording, name, 1.0 if name != 'table' else 0.001)
+            output, command = self.check()[1:]
+            self.assert_arguments(command, mav_truth=f'/vicon/{taken}/{taken}')
+            others = ', '.join(f'/vicon/{name}/{name}' for name in bodies if name != taken)
+            self.assertIn(f'guess   other reference poses than /vicon/{taken}/{taken}: {others}: --map TOPIC:=mav_truth takes one of them instead', output)
+            self.assertNotIn('other reference poses', self.check('--map', '/vicon/table/table:=mav_truth')[1])
+        recording = self.recording(('base_link', 'cam')).camera('/cam0/image_raw', 'mono8', 'cam')
+        body(body(recording, 'hex', 0.0), 'wall', 0.0)  # a MAV that stands, too
+        self.assert_arguments(self.check()[2], mav_truth='/vicon/hex/hex')
 
     def test_none_of_what_the_bag_holds(self):
         """--map none:=STANDARD, for IMUs and reference poses."""

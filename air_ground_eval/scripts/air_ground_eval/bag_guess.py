@@ -5,8 +5,8 @@ import shlex
 
 import numpy as np
 
-from . import bag_camera, bag_registration
-from .bag_reader import POSE_TYPES, POSITION_TYPES
+from . import bag_camera, bag_references, bag_registration
+from .bag_references import TRUTH_WORDS
 from .bag_robots import BODIES, common, drives, flies, frame_of, has, joined, may_fly, on_one_body, owner
 from .bag_topics import TRANSPORTS, image_topics, raw_name, recorded, transport, with_slash
 
@@ -17,7 +17,6 @@ ARGUMENTS = {
     '/ground/depth/camera_info': 'ground_depth_camera_info', '/mav/imu/accel': 'mav_imu_accel', '/ground/imu/accel': 'ground_imu_accel',
     '/ground/imu/data': 'ground_imu', '/ground_truth/ground': 'ground_truth', '/gps/fix': 'gps_fix', '/mav/imu/mag': 'mav_magnetic_field',
     '/barometer': 'barometer_pressure'}
-TRUTH_WORDS = re.compile(r'truth|vicon|vrpn|mocap|leica|optitrack|qualisys|natnet|(?<![a-z])gt(?![a-z])')
 OWN_WORDS = re.compile(r'odom|wheel|slam|ekf|(?<![a-z])vi?o(?![a-z])')  # a robot's own estimate, which is no truth
 LIDAR_WORDS = re.compile(r'ouster|lidar|livox|velodyne|(?<![a-z])os[01]')
 EYE_WORDS = re.compile(r'cam|rgb|colou?r')  # what a lidar's own images (range, reflectivity) are not called
@@ -230,9 +229,15 @@ def _guess_sensors(facts, choices, robot):
                                     common(t, image), facts.rate(t) >= FAST_IMU, own(facts, t), 'raw' not in t, 'gyro' not in t.lower()))
     if imu is not None and 'gyro' in imu.lower():
         choices.choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t.lower()], lambda t: common(t, imu))
-    choices.choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if has(t, TRUTH_WORDS) and facts.counts[t] > 1 and not (others and theirs(facts, t))
-                                              and (not others or own(facts, t) or common(t, image) > max(common(t, other) for other in others))],
-                   lambda t: (facts.types[t] not in POSITION_TYPES, own(facts, t)))
+    if f'/ground_truth/{robot}' not in choices.names:
+        base = guess_base(facts, robot, frame_of(facts, image), choices.names)
+        choices.choose(f'/ground_truth/{robot}', references(facts, choices.names, robot), bag_references.rank(facts, robot, base, [image, imu or '']))
+
+
+def references(facts, names, robot):
+    """Topics of reference poses that may be a robot's. names: standard topic -> topic of the bag."""
+    others = [names[camera] for other, camera in CAMERAS.items() if other != robot and names.get(camera)]
+    return bag_references.candidates(facts, robot, names[CAMERAS[robot]], others)
 
 
 def _mounted(facts, imus, image, others):

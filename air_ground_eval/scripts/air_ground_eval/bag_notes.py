@@ -14,8 +14,22 @@ def notes(facts, names, given, only=None, city=False):
         result = _robots(facts, mav, ground, names.get('/mav/imu/data'), others)
     if others and (mav or ground):
         standards = ' or '.join(bag_guess.ARGUMENTS[standard] for standard in (MAV, GROUND) if names.get(standard))
-        result.append(f'other images: {", ".join(others[:MOST])}{" ..." if len(others) > MOST else ""}: --map TOPIC:={standards} takes one of them instead')
-    return result
+        result.append(f'other images: {_named(others)}: --map TOPIC:={standards} takes one of them instead')
+    return result + [line for robot in bag_guess.CAMERAS for line in _references(facts, names, given, robot)]
+
+
+def _named(topics):
+    return ', '.join(topics[:MOST]) + (' ...' if len(topics) > MOST else '')
+
+
+def _references(facts, names, given, robot):
+    """Of several bodies that a motion capture tells of, one was taken for the robot."""
+    standard = f'/ground_truth/{robot}'
+    taken = names.get(standard)
+    if taken in (None, standard) or standard in given or not names.get(bag_guess.CAMERAS[robot]):
+        return []
+    others = [t for t in bag_guess.references(facts, names, robot) if t not in names.values()]
+    return [f'other reference poses than {taken}: {_named(others)}: --map TOPIC:={bag_guess.ARGUMENTS[standard]} takes one of them instead'] if others else []
 
 
 def _robots(facts, mav, ground, imu, others):
