@@ -3,14 +3,15 @@
 import os
 import sys
 import unittest
+from unittest import mock
 
 import numpy as np
 import rosunit
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
-from air_ground_eval import bag_reader, geometry, messages  # noqa: E402
-from bag_layouts_test import CAMERA, BagLayouts, Recording, run  # noqa: E402
+from air_ground_eval import bag_camera, bag_check, bag_reader, bag_registration, geometry, messages  # noqa: E402
+from bag_layouts_test import CAMERA, PICTURE, BagLayouts, Recording, run  # noqa: E402
 from bag_mountings_test import Robots  # noqa: E402
 
 OPTICAL = geometry.R_BODY_FORWARD_CAMERA.T  # takes a body's axes to those of a level optical frame
@@ -92,6 +93,27 @@ class BagCures(unittest.TestCase):
         recording = Robots(self.path(), [('base_link', 'eye')]).camera('/camera/rgb/image_raw', 'rgb8', 'eye').camera('/camera/depth_registered/image_raw', '16UC1', 'eye', factor=0)
         output = recording.camera('/camera/depth/image_raw', '16UC1', 'eye') and self.check()[1]
         self.assertRegex(output, 'ERROR .*has any depth .*has depth on /camera/depth/image_raw, too')
+
+    def test_broken_images(self):
+        """Of no pixels, or short of a byte: named, and left out of what the others tell."""
+        def fault(array, encoding, **fields):
+            message = messages.image(array, '16UC1' if array.dtype == np.uint16 else encoding, 1, 'cam')
+            for name, value in {'encoding': encoding, **fields}.items():
+                setattr(message, name, value)
+            return message
+
+        counts = PICTURE.astype(np.uint16) * 16
+        for kinds, encoding, array in ((bag_camera.GREY, 'mono16', counts), (bag_camera.DEPTH, '16UC1', counts), (bag_camera.GREY, 'mono8', PICTURE)):
+            whole = fault(array, encoding)
+            for broken in (fault(array, encoding, data=whole.data[:-1]), fault(array, encoding, width=0, height=0, step=0, data=b'')):
+                for samples, level in (([broken, whole, whole], bag_check.WARNING), ([whole, whole, broken], bag_check.WARNING), ([broken], bag_check.ERROR)):
+                    stream = mock.Mock(samples=samples, spread=samples)
+                    found = [f for f in bag_camera.check_image('/cam', stream, kinds) if f.level != bag_check.OK]
+                    self.assertEqual([f.level for f in found], [level], found)
+                    self.assertIn(f'1 of the first {len(samples)} images are broken', found[0].text)
+        nothing = fault(counts, '16UC1', width=0, height=0, step=0, data=b'')
+        for images in ((nothing, whole), (whole, nothing), (nothing, nothing)):
+            self.assertEqual(bag_registration.Registration(images, [{'cam'}] * 2, [None] * 2, ['/depth', '/rgb']).check('/depth', '/rgb'), [])
 
     def test_import_kalibr_takes_what_check_bag_guesses(self):
         Robots(self.path()).camera('/left/image_raw', 'mono8', 'left', info=False).imu('/imu/imu', 'imu')

@@ -48,6 +48,19 @@ class DatasetImages(unittest.TestCase):
             stream.write(text)
         return self.inside('config.yaml')
 
+    def test_texts_of_another_encoding_and_layouts_of_no_name(self):
+        folder = self.inside('tum')
+        self.save(ramp(np.uint8, 0, 255), 'tum', 'rgb', '1.png')
+        self.save(ramp(np.uint8, 0, 255), 'tum', 'rgb', '2.png')
+        for name, line in (('calibration.txt', b'60 60 31.5 23.5'), ('rgb.txt', b'# K\xfcche\n1.5 rgb/1.png\n2.5 rgb/2.png'), ('groundtruth.txt', b'# K\xfcche\n1.5 1 2 3 0 0 0 1\n2.5 1 2 4 0 0 0 1')):
+            with open(self.inside('tum', name), 'wb') as stream:
+                stream.write(line + b'\n')
+        found = datasets.read_recording(folder, 'auto', {})
+        self.assertEqual((len(found.colour), list(found.pose_stamps)), (2, [1.5, 2.5]))
+        for layout in ('foo', ['tum'], None):
+            with self.assertRaisesRegex(DatasetError, 'layout: .* is not known; known are auto, 7scenes, tum, euroc, numbered, agz'):
+                datasets.read_recording(folder, layout, {})
+
     def millimetres(self, *arguments):
         result = convert('--ground', self.inside('scene'), '--out', self.bag, *arguments)
         self.assertEqual(result.returncode, 0, result.stderr)

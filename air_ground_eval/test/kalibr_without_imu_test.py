@@ -12,12 +12,30 @@ import yaml
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
-from air_ground_eval import messages  # noqa: E402
-from import_kalibr_test import CHAIN, ImportKalibr  # noqa: E402
+from air_ground_eval import calibration, calibration_files, messages  # noqa: E402
+from air_ground_eval.recording import Camera  # noqa: E402
+from import_kalibr_test import CHAIN, EUROC_FILES, ImportKalibr  # noqa: E402
 
 
 class KalibrWithoutImu(unittest.TestCase):
     setUp, path, write, run_import = ImportKalibr.setUp, ImportKalibr.path, ImportKalibr.write, ImportKalibr.run_import
+
+    def test_words_where_named_values_belong(self):
+        """One line that names file and key; an empty matrix of a camera_info file is as none."""
+        chain = yaml.safe_dump({'cam0': {**CHAIN['cam0'], 'camera_model': []}})
+        vins = EUROC_FILES['vins.yaml'].replace('distortion_parameters:\n', 'distortion_parameters: abc\nmore:\n')
+        rpg = EUROC_FILES['rpg.yaml'][:EUROC_FILES['rpg.yaml'].index('    distortion:')] + '    distortion: abc\n'
+        for text, line in ((chain, 'cam0 has the camera model []'), (vins, "distortion_parameters must be named values, not 'abc'"), (rpg, "cam0: distortion must be named values, not 'abc'")):
+            with self.assertRaises(calibration.CalibrationError) as caught:
+                calibration_files.read_camera(self.write('x.yaml', text))
+            self.assertIn(line, str(caught.exception))
+            self.assertIn(self.path('x.yaml'), str(caught.exception))
+        whole = yaml.safe_load(calibration.camera_info_yaml(Camera(640, 480, 500, 501, 320, 240), 'cam'))
+        info = calibration.read_camera_info(self.write('x.yaml', yaml.safe_dump({**whole, 'rectification_matrix': None, 'projection_matrix': None})))
+        self.assertEqual((list(info.R), list(info.P)), ([1, 0, 0, 0, 1, 0, 0, 0, 1], [500, 0, 320, 0, 0, 501, 240, 0, 0, 0, 1, 0]))
+        for broken in ({'rectification_matrix': 'abc'}, {'projection_matrix': {'data': [1, 2]}}, {'camera_matrix': {'data': []}}):
+            with self.assertRaises(calibration.CalibrationError):
+                calibration.read_camera_info(self.write('x.yaml', yaml.safe_dump({**whole, **broken})))
 
     def without_imu(self, *arguments, image_frame='left_eye', edges=()):
         """(status, what it said, words of its last line, of a bag with images alone where --bag is among them), of a camera that was calibrated by itself."""

@@ -71,11 +71,25 @@ def depths(image):
         return np.where(steps > 0, a / np.maximum(steps - b, 1e-6), np.nan).astype(np.float32)
     if image.encoding not in DEPTH:
         return None
-    dtype = np.dtype(DEPTH[image.encoding]).newbyteorder('>' if image.is_bigendian else '<')
-    if len(image.data) != image.step * image.height or image.step < image.width * dtype.itemsize:
-        return None
-    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :image.width * dtype.itemsize]
+    return None if _broken(image) else _rows(image, DEPTH[image.encoding], image.width)
+
+
+def _rows(image, kind, count):
+    """The first numbers (height, count) of this type in each row of a raw image."""
+    dtype = np.dtype(kind).newbyteorder('>' if image.is_bigendian else '<')
+    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :count * dtype.itemsize]
     return np.ascontiguousarray(rows).view(dtype)
+
+
+def _broken(image):
+    """Why the bytes of a raw image are not its pixels; '' where they are."""
+    if not (image.width and image.height):
+        return f'{image.width}x{image.height} pixels'
+    if len(image.data) != image.step * image.height:
+        return f'{len(image.data)} bytes for {image.height} rows of {image.step}'
+    if image.step < image.width * np.dtype(DEPTH.get(image.encoding, np.uint8)).itemsize:
+        return f'rows of {image.step} bytes are too short for {image.width} pixels of {image.encoding}'
+    return ''
 
 
 def known(depth):
@@ -123,16 +137,15 @@ def check_image(topic, stream, encodings, instead=''):
             result.append(Finding(ERROR, f'{topic}: its images ({image.format}) are of {8 * pixels.itemsize} bits, which hold no depth: record {topic.rsplit("/", 1)[0]}/compressedDepth, '
                                   'or the raw images'))
         return result
+    sound, faults = {i: sample for i, sample in enumerate(stream.samples, 1) if not _broken(sample)}, list(filter(None, map(_broken, stream.samples)))
+    image = next(iter(sound.values()), image)
     if image.encoding not in encodings:
         result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings)}'))
-    bytes_a_pixel = np.dtype(DEPTH.get(image.encoding, np.uint8)).itemsize
-    if len(image.data) != image.step * image.height:
-        result.append(Finding(ERROR, f'{topic}: {len(image.data)} bytes for {image.height} rows of {image.step}'))
-    elif image.step < image.width * bytes_a_pixel:
-        result.append(Finding(ERROR, f'{topic}: rows of {image.step} bytes are too short for {image.width} pixels of {image.encoding}'))
-    elif encodings is GREY:
+    if faults:
+        result.append(Finding(WARNING if sound else ERROR, f'{topic}: {len(faults)} of the first {len(stream.samples)} images are broken ({faults[0]}): the nodes leave such out'))
+    if sound and encodings is GREY:
         if '16' in image.encoding and 'a16' not in image.encoding:  # the nodes stretch none with an alpha channel
-            counts = [np.frombuffer(sample.data, np.dtype(np.uint16).newbyteorder('>' if sample.is_bigendian else '<')) for sample in stream.samples]
+            counts = [_rows(sample, np.uint16, sample.step // 2) for sample in sound.values()]
             levels = pixel_range.levels(counts)
             grey = levels.grey(counts[-1])
             if levels.narrow():
@@ -140,9 +153,9 @@ def check_image(topic, stream, encodings, instead=''):
             elif levels.bits < 16:
                 result.append(Finding(OK, f'{topic}: its pixels use {levels.bits} of 16 bits: the nodes move them up'))
         else:
-            grey = np.frombuffer(stream.samples[-1].data, np.uint8)
+            grey = np.frombuffer(sound[max(sound)].data, np.uint8)
         if grey.std() < FLAT:
-            result.append(Finding(WARNING, f'{topic}: image {len(stream.samples)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
+            result.append(Finding(WARNING, f'{topic}: image {max(sound)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
                                   'too dark?'))
     return result
 
@@ -159,9 +172,9 @@ def picture(message):
 
 
 def image_size(message):
-    """(width, height) of a raw or compressed image; None where that cannot be told."""
+    """(width, height) of a raw or compressed image; None where that cannot be told, or it has no pixels."""
     if message._type == 'sensor_msgs/Image':
-        return message.width, message.height
+        return (message.width, message.height) if message.width and message.height else None
     pixels = picture(message)
     return None if pixels is None else pixels.shape[1::-1]
 

@@ -79,6 +79,6 @@ class Registration:
         if self.differences:
             result.append(Finding(WARNING, f'{depth} and {colour} {self.differences}, though its name says that depth is registered: taken for registered, since drivers have published the '
                                   'depth camera\'s calibration beside it (realsense-ros of 2018); if edges in depth lie beside those in colour, replay with ground_depth_registered:=false'))
-        if self.sizes[0] != self.sizes[1]:
+        if None not in self.sizes and self.sizes[0] != self.sizes[1]:
             result.append(Finding(OK, f'{depth} is {colour} at another resolution: the colour camera\'s calibration serves, scaled'))
         return result

@@ -46,7 +46,7 @@ def make_camera(model, distortion, intrinsics, coefficients, size, where):
     Models that camera_info has no name for become `equidistant`, as near as camera_models.fit_equidistant comes.
     """
     kind = DISTORTIONS.get(str(distortion or '').lower())
-    if model not in MODELS:
+    if not isinstance(model, str) or model not in MODELS:
         raise CalibrationError(f'{where} has the camera model {model}; known are {", ".join(MODELS)}: calibrate as pinhole-equi for wide lenses')
     if kind is None:
         raise CalibrationError(f'{where} has the distortion model {distortion}; known are radtan, equidistant and fov')
@@ -119,10 +119,10 @@ def read_camera_info(path):
         info = CameraInfo(width=int(content['image_width']), height=int(content['image_height']), distortion_model=content['distortion_model'])
         info.D = [float(x) for x in content['distortion_coefficients']['data']]
         info.K = [float(x) for x in content['camera_matrix']['data']]
-        info.R = [float(x) for x in content.get('rectification_matrix', {}).get('data', np.eye(3).ravel())]
-        info.P = [float(x) for x in content.get('projection_matrix', {}).get('data', [info.K[0], 0, info.K[2], 0, 0, info.K[4], info.K[5], 0, 0, 0, 1, 0])]
     except (KeyError, TypeError, ValueError) as error:
         raise CalibrationError(f'{path}: not a camera_info file (camera_calibration writes one): {error}') from error
+    info.R = numbers(content, 'rectification_matrix', path) or [float(x) for x in np.eye(3).ravel()]
+    info.P = numbers(content, 'projection_matrix', path) or [x for row in range(3) for x in (*info.K[3 * row:3 * row + 3], 0.0)]
     if len(info.K) != 9 or len(info.R) != 9 or len(info.P) != 12:
         raise CalibrationError(f'{path}: camera_matrix needs 9 numbers, rectification_matrix 9, projection_matrix 12')
     return info

@@ -86,6 +86,14 @@ def _body_to_camera(section, key, where):
     return geometry.inverse(rigid(numbers(section, key, where), f'{where}: {key}')) if key in section else None
 
 
+def _mapping(section, key, where):
+    """The named values under `key`; none without."""
+    value = section.get(key) or {}
+    if not isinstance(value, dict):
+        raise CalibrationError(f'{where}: {key} must be named values, not {value!r}')
+    return value
+
+
 def _kalibr(path, chain, name):
     section = chain.get(name)
     if not isinstance(section, dict):
@@ -122,7 +130,9 @@ def _vins(path, content, name):
     if 'projection_parameters' not in content:
         part = load(os.path.join(os.path.dirname(os.path.abspath(path)), str(content.get(f'{name}_calib', f'{name}_calib'))))
         content = {**content, **part}
-    flat = {key: value for part in ('projection_parameters', 'distortion_parameters', 'mirror_parameters') for key, value in (content.get(part) or {}).items()}
+    flat = {}
+    for part in ('projection_parameters', 'distortion_parameters', 'mirror_parameters'):
+        flat.update(_mapping(content, part, path))
     flat.update({key: content[key] for key in ('image_width', 'image_height') if key in content})
     kind, size = str(content.get('model_type')).upper(), ['image_width', 'image_height']
     T, notes = None, ()
@@ -153,7 +163,7 @@ def _rpg(path, content, name):
     """The camera files of rpg's SVO Pro and vikit, in which "fisheye" is ATAN (Devernay & Faugeras 2001)."""
     try:
         entry = content['cameras'][int(name[3:])]
-        camera, distortion = entry['camera'], entry['camera'].get('distortion') or {}
+        camera, distortion = entry['camera'], _mapping(entry['camera'], 'distortion', f'{path}: {name}')
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise CalibrationError(f'{path}: cameras holds no {name} ({error})') from error
     if camera.get('type') != 'pinhole':
@@ -194,7 +204,7 @@ def _basalt(path, content, name):
         entry, size = value['intrinsics'][index], value['resolution'][index]
         p = value['T_imu_cam'][index] if 'T_imu_cam' in value else None
         T = None if p is None else geometry.inverse(geometry.pose_from_tq([p['px'], p['py'], p['pz']], [p['qx'], p['qy'], p['qz'], p['qw']]))
-        kind, flat = entry['camera_type'], {**entry['intrinsics'], 'size': size}
+        kind, flat = str(entry['camera_type']), {**entry['intrinsics'], 'size': size}
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise CalibrationError(f'{path}: value0 holds no whole {name} (intrinsics, resolution, T_imu_cam): {error}') from error
     centre = ['fx', 'fy', 'cx', 'cy']

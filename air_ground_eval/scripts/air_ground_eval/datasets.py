@@ -44,6 +44,8 @@ def read_recording(folder, layout, config, R_base_camera=geometry.R_BODY_FORWARD
         layout = detect_layout(folder)
     elif not os.path.isdir(folder):
         raise DatasetError(f'{folder}: no such folder')
+    elif layout not in list(readers):  # of --config, where anything may stand
+        raise DatasetError(f'layout: {layout!r} is not known; known are auto, {", ".join(readers)}')
     recording, up, mirrored = readers[layout](folder, config)
     if not recording.colour and layout != 'agz':
         raise DatasetError(f'{folder}: no images found')
@@ -99,7 +101,7 @@ def read_tum_list(folder, name, rate, notes):
     if not os.path.isfile(path):
         raise DatasetError(f'{path}: missing; a TUM RGB-D folder has rgb.txt, depth.txt and groundtruth.txt')
     frames, missing = [], []
-    with open(path, encoding='utf-8') as stream:
+    with open(path, encoding='utf-8', errors='replace') as stream:
         for number, line in enumerate(stream, 1):
             words = line.split()
             if not words or words[0].startswith('#'):
@@ -170,7 +172,7 @@ def read_euroc_sensor(path):
 
 def read_csv(path, columns):
     rows = []
-    with open(path, newline='', encoding='utf-8') as stream:
+    with open(path, newline='', encoding='utf-8', errors='replace') as stream:
         for number, row in enumerate(csv.reader(stream), 1):
             if not row or row[0].strip().startswith('#'):
                 continue
@@ -198,7 +200,7 @@ def read_euroc_frames(root, notes):
                 raise DatasetError(f'{image}: without cam0/data.csv images are named by their stamp in nanoseconds')
             frames.append(Frame(int(stem) * 1e-9, image))
         return frames
-    with open(path, newline='', encoding='utf-8') as stream:
+    with open(path, newline='', encoding='utf-8', errors='replace') as stream:
         for number, row in enumerate(csv.reader(stream), 1):
             if not row or row[0].strip().startswith('#'):
                 continue
@@ -236,7 +238,7 @@ def read_euroc_camera(root):
         width, height = (int(v) for v in sensor['resolution'])
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f'{path}: intrinsics, distortion_coefficients, resolution needed ({error})') from error
-    model = EUROC_MODELS.get(sensor.get('distortion_model'))
+    model = EUROC_MODELS.get(str(sensor.get('distortion_model')))
     if model is None:
         raise DatasetError(f'{path}: distortion model {sensor.get("distortion_model")} is not supported; undistort the images first')
     return Camera(width, height, fx, fy, cx, cy, tuple((distortion + [0.0] * 5)[:5 if model == 'plumb_bob' else 4]), model), T_body_camera, []

@@ -56,7 +56,7 @@ def associated(folder, colour, depth, notes):
     if not os.path.isfile(path):
         return colour, depth
     chosen, missing, first = ({}, {}), 0, None
-    with open(path, encoding='utf-8') as stream:
+    with open(path, encoding='utf-8', errors='replace') as stream:
         for number, line in enumerate(stream, 1):
             words = line.split()
             if not words or words[0].startswith('#'):

@@ -50,7 +50,7 @@ def unique_poses(stamps, positions, quaternions, source, notes):
 def read_trajectory(path, notes):
     """A file in TUM format: stamp tx ty tz qx qy qz qw a line. Returns (stamps (n,), poses (n, 4, 4)), both empty for an empty file."""
     rows = []
-    with open(path, encoding='utf-8') as stream:
+    with open(path, encoding='utf-8', errors='replace') as stream:
         for number, line in enumerate(stream, 1):
             if not line.strip() or line.startswith('#'):
                 continue
