@@ -10,10 +10,21 @@ import numpy as np
 import rosunit
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
-from air_ground_eval import evaluation, geometry, reference_clock, truth  # noqa: E402
+from air_ground_eval import evaluation, geometry, path_length, reference_clock, truth  # noqa: E402
 
 # Of EuRoC's Vicon body in the MAV's: its markers lie behind and below, and their axes are turned.
 T_BASE_MARKERS = geometry.pose_from_tq((0.069, -0.028, -0.124), (0.3, -0.5, 0.6, 0.2))
+
+
+def robot_run(stamps, speed, begin=10.0, end=80.0, radius=2.0):
+    """(positions, quaternions) of a robot that drives a circle, at 1 m/s^2 from rest at `begin` and to rest soon after `end` [s]."""
+    spent, gone = (np.clip(stamps - at, 0, speed) for at in (begin, end))  # accelerating, braking
+    way = spent ** 2 / 2 + speed * np.clip(stamps - begin - speed, 0, end - begin - speed) + speed * gone - gone ** 2 / 2
+    return turned_along(np.stack([3 + radius * np.sin(way / radius), 4 - radius * np.cos(way / radius), 1 + 0 * way], 1), np.stack([0 * way, 0 * way, way / radius], 1))
+
+
+def turned_along(positions, angles):
+    return positions, geometry.quaternion_from_matrix(geometry.rotation_from_axes('xyz', angles))
 
 
 class Truth(unittest.TestCase):
@@ -117,6 +128,41 @@ class Truth(unittest.TestCase):
         for few in ([7], [7, 97], range(0, len(stamps), 9)):  # an old map, a slow camera: nothing to compare
             few = evaluation.Track(stamps[few], way[few])
             self.assertEqual(reference_clock.clock_shift(reference, few, True), 0.0)
+
+    def test_noise_is_no_way(self):
+        """A sum of steps makes 647 m of 150 m. What is exact keeps its length; a body at rest goes nowhere."""
+        def slow(t):
+            return robot_run(t, 7.4 / 120, -10.0, 1e3, 2.5)[0]
+
+        def flight(t):
+            return np.stack([2 * np.cos(0.5 * t), 3 * np.sin(0.4 * t), 1.5 + 0.5 * np.sin(0.5 * t)], 1)
+
+        def hand(t):
+            return np.stack([0.1 * np.sin(6 * t), 0.08 * np.sin(5 * t + 1), 0.05 * np.sin(9 * t)], 1)
+
+        def back_and_forth(t):
+            return np.outer(0.1 * np.sin(6 * t), (1, 0, 0))
+
+        random = np.random.default_rng(8)
+        for way, rate, noises in ((slow, 30, (0.002, 0.005, 0.01)), (flight, 200, (0.01,)), (flight, 30, (0.002, 0.01)), (hand, 100, (0.002,))):
+            fine, stamps = np.arange(0, 120, 0.001), np.arange(0, 120, 1 / rate)
+            true = np.linalg.norm(np.diff(way(fine), axis=0), axis=1).sum()
+            for metres in noises:
+                positions = way(stamps) + metres * random.normal(size=(len(stamps), 3))
+                self.assertAlmostEqual(path_length.path_length(stamps, positions), true, delta=0.03 * true, msg=(way, rate, metres))
+                self.assertAlmostEqual(path_length.noise(stamps, positions), metres, delta=0.1 * metres)
+                gone = path_length.distance_travelled(stamps, positions)
+                self.assertTrue(len(gone) == len(stamps) and np.all(np.diff(gone) >= 0))
+                self.assertAlmostEqual(gone[len(gone) // 2], np.linalg.norm(np.diff(way(fine[:60000]), axis=0), axis=1).sum(), delta=0.03 * true)
+        for way in (slow, flight, hand, back_and_forth):
+            for rate in (1, 5, 10, 30, 200):
+                stamps = np.arange(0, 60, 1 / rate)
+                for positions in (way(stamps), np.round(way(stamps), 6)):
+                    self.assertAlmostEqual(path_length.path_length(stamps, positions) / np.linalg.norm(np.diff(positions, axis=0), axis=1).sum(), 1, delta=1e-3, msg=(way, rate))
+        stamps = np.arange(0, 60, 0.01)
+        self.assertLess(path_length.path_length(stamps, 0.01 * random.normal(size=(len(stamps), 3))), 0.1)
+        for few in range(3):
+            self.assertAlmostEqual(path_length.path_length(stamps[:few], slow(stamps)[:few]), 7.4 / 120 * 0.01 * max(0, few - 1), places=6)
 
 
 if __name__ == '__main__':

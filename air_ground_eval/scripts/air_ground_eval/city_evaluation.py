@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from . import geometry
+from .path_length import distance_travelled
 
 # A fix farther off than this is wrong, whatever it states.
 WRONG_POSITION = 2.0  # [m]
@@ -95,8 +96,7 @@ class Way:
     distance: np.ndarray = field(init=False)
 
     def __post_init__(self):
-        steps = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1) if len(self.poses) > 1 else np.zeros(0)
-        self.distance = np.concatenate([[0.0], np.cumsum(steps)]) if len(self.poses) else np.zeros(0)
+        self.distance = distance_travelled(self.stamps, self.poses[:, :3, 3]) if len(self.poses) else np.zeros(0)
 
     def distance_at(self, stamps):
         return np.interp(stamps, self.stamps, self.distance)

@@ -9,6 +9,7 @@ from typing import Optional
 import numpy as np
 
 from . import geometry
+from .path_length import path_length
 
 STATUS_NAMES = {0: 'SEARCHING', 1: 'AMBIGUOUS', 2: 'DEGENERATE', 3: 'CONVERGED', 4: 'REJECTED'}
 STATUS_SEARCHING, STATUS_AMBIGUOUS, STATUS_CONVERGED = 0, 1, 3
@@ -114,10 +115,6 @@ def write_alignment(path, estimates):
                          + ' '.join(f'{v:.6g}' for v in e.deviations) + f' {e.scale:.9g}\n')
 
 
-def path_length(positions):
-    return float(np.sum(np.linalg.norm(np.diff(positions, axis=0), axis=1))) if len(positions) > 1 else 0.0
-
-
 def trajectory_error(truth, estimate):
     """Absolute trajectory error of camera positions after a rigid least-squares alignment, and the scale error apart.
 
@@ -133,7 +130,7 @@ def trajectory_error(truth, estimate):
     errors = np.linalg.norm(e @ rotation.T + translation - r, axis=1)
     scale, rotation_s, translation_s = geometry.align_points(r, e, with_scale=True)
     errors_s = np.linalg.norm(scale * e @ rotation_s.T + translation_s - r, axis=1)
-    length = path_length(r)
+    length = path_length(estimate.stamps[valid], r)
     rmse = float(np.sqrt(np.mean(errors ** 2)))
     return {
         'rmse_m': rmse, 'max_m': float(errors.max()), 'path_length_m': length,

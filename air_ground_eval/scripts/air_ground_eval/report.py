@@ -9,6 +9,7 @@ import yaml
 
 from . import evaluation, figures, geometry, ply, report_table
 from .evaluation import STAGE_COARSE, STAGE_REFINED, STATUS_CONVERGED, STATUS_NAMES, STATUS_SEARCHING, Track
+from .path_length import path_length
 
 
 @dataclass
@@ -99,7 +100,7 @@ class Report:
             return
         v[f'{prefix}_poses'] = len(track)
         unit = self.r.units.get(robot, '')
-        length = evaluation.path_length(track.poses[:, :3, 3]) if len(track) else 0.0
+        length = path_length(track.stamps, track.poses[:, :3, 3])
         if unit:
             v[f'{prefix}_unit'] = unit
             v[f'{prefix}_estimated_path_length_units'] = length
