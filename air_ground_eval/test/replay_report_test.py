@@ -262,6 +262,22 @@ class ReplayReport(unittest.TestCase):
             self.assertLess(values['refined_latency_median_s'], 0.7 + 2)
             self.assertGreater(values['vo_coverage_percent'], 90)
 
+    def test_the_time_of_a_robots_images(self):
+        """By their stamps, of the part that is played; of a robot without any nothing is known."""
+        with tempfile.TemporaryDirectory() as folder, mock.patch.object(replays, 'rospy') as ros:
+            path = os.path.join(folder, 'x.bag')
+            write_bag(path, ahead=-90.0)
+            with rosbag.Bag(path, 'a') as bag:
+                bag.write('/hidden/mav', messages.pose_stamped(np.eye(4), 130, 'world'), messages.stamp(130))
+            facts = bag_reader.BagFacts(path)
+            for start in (0.0, 2.0):
+                recorder = replays.Recorder(facts.begin + start, [])
+                ros.resolve_name = lambda name: name
+                recorder.robots = {'mav': replays.Robot('mav_vo', '/mav/camera/image_raw'), 'ground': replays.Robot('rgbd_slam', '/ground/rgb/image_raw')}
+                recorder.follow(facts, '/player')
+                self.assertTrue(np.allclose(recorder.robots['mav'].span, (10.0 + start, 10.0 + DURATION - 0.02), atol=0.021), recorder.robots['mav'].span)
+                self.assertIsNone(recorder.robots['ground'].span)
+
     def test_a_robot_without_pose_and_one_switched_off(self):
         out, values, output = self.run_replay({'silent': 'too dark, says the stand-in', 'ground': 'false'}, old=True, arguments=SLOWLY)
         for say in ('ERROR', 'note'):

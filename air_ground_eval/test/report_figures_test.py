@@ -144,6 +144,17 @@ class ReportFigures(unittest.TestCase):
             built._odometry('vo', 'mav', built.r.mav, None)
             self.assertAlmostEqual(built.values['vo_coverage_since_first_pose_percent'], expected, delta=1)
 
+    def test_a_track_covers_the_time_of_its_robots_images(self):
+        """In a bag of two robots, one recorded after the other or for longer, all that could be tracked is all; of another clock, too."""
+        for delay in (0.0, 50.0):
+            images = (140.0 - delay, 156.0 - delay)
+            for tracked, expected in ((images, 100), ((images[0], images[0] + 8), 50)):
+                built = report.Report(report.Recorded('', 'x.bag', 100, 1000, track(*tracked), track(100, 1000), [], spans={'mav': images}, delays={'mav': delay}))
+                for prefix, robot, of in (('vo', 'mav', expected), ('slam', 'ground', 100)):
+                    built._odometry(prefix, robot, getattr(built.r, robot), None)
+                    for key in ('coverage_percent', 'coverage_since_first_pose_percent'):
+                        self.assertAlmostEqual(built.values[f'{prefix}_{key}'], of, delta=1)
+
     def test_seeds_that_never_became_metric_are_said(self):
         table = as_module.load('chain_table')
         answers = ['final        : 9 poses over 8 m; ATE RMSE rigid 0.00%d m\n' % k if k % 2 else 'no scale\n' for k in range(1, 6)]

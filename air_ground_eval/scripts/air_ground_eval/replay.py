@@ -38,6 +38,7 @@ class Robot:
     def __init__(self, node, image, on=True):
         self.node, self.image, self.on = node, rospy.resolve_name(image), on
         self.delay = 0.0  # of the bag's time of its images after their stamps [s], which may be another clock's
+        self.span = None  # stamps of the first and the last image of the part of the bag that is played [s], where it has any
         self.odometry = {}  # stamp -> T_map_base
         self.latencies = []  # from each image to its pose, on the bag's clock [s]
         self.last_status = None
@@ -92,7 +93,10 @@ class Recorder:
         """Hears how far the player of this name is: it gives no /clock while it is behind its own time, as on a busy machine. By the bag's index: stamps may be of a clock that steps."""
         self.end = bag.end
         for robot in self.robots.values():
-            robot.delay = bag.delay(recorded(bag, robot.image))
+            topic = recorded(bag, robot.image)
+            robot.delay = bag.delay(topic)
+            times = [time for time in bag.times(topic, self.begin) if time <= bag.end] if topic else []
+            robot.span = (times[0] - robot.delay, times[-1] - robot.delay) if times else None
         for name, kind in (('sensor_msgs/CameraInfo', CameraInfo), ('sensor_msgs/Imu', Imu)):
             topics = [topic for topic, of in bag.types.items() if of == name]
             if topics:

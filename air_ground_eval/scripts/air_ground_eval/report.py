@@ -37,6 +37,7 @@ class Recorded:
     late_clouds: int = 0                 # those that the nodes were asked for after the bag's end, without delays
     ground_map_id: int = 0               # of the ground robot's map that was saved; 0: not known
     delays: Dict[str, float] = field(default_factory=dict)  # robot -> the bag's clock less that of its images' stamps [s]
+    spans: Dict[str, Tuple[float, float]] = field(default_factory=dict)  # robot -> stamps of its first and its last image [s]; else the bag's begin and end
     first_poses: Dict[str, float] = field(default_factory=dict)  # robot -> stamp of its first metric pose, of whichever map [s]
     switched_off: List[str] = field(default_factory=list)  # robots that were not to give poses
     states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
@@ -107,9 +108,10 @@ class Report:
             self.r.notes.append(f'{robot}: scale unknown (unit of its trajectory: {unit}): its ATE is what a similarity alignment leaves, and it has no error of scale')
         else:
             v[f'{prefix}_estimated_path_length_m'] = length
-        v[f'{prefix}_coverage_percent'] = 100 * evaluation.coverage(track.stamps, self.r.begin, self.r.end, max_gap=1.0)
+        begin, end = self.r.spans.get(robot, (self.begins[robot], self.r.end - self.r.delays.get(robot, 0.0)))
+        v[f'{prefix}_coverage_percent'] = 100 * evaluation.coverage(track.stamps, begin, end, max_gap=1.0)
         if len(track):  # less where maps ended before the one that was saved
-            first, end = min(self.r.first_poses.get(robot, track.stamps[0]), track.stamps[0]), self.r.end - self.r.delays.get(robot, 0.0)
+            first = min(self.r.first_poses.get(robot, track.stamps[0]), track.stamps[0])
             v[f'{prefix}_coverage_since_first_pose_percent'] = 100 * evaluation.coverage(track.stamps, first, end, max_gap=1.0)
         state = self.r.states.get(robot, {})
         if state:
