@@ -3,14 +3,16 @@
 import os
 import re
 import sys
+import tempfile
 import unittest
 from unittest import mock
 
 import numpy as np
+import rosbag
 import rosunit
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
-from air_ground_eval import evaluation, geometry, path_length, reference_clock, truth  # noqa: E402
+from air_ground_eval import bag_reader, evaluation, geometry, messages, path_length, reference_clock, reference_faults, truth  # noqa: E402
 
 # Of EuRoC's Vicon body in the MAV's: its markers lie behind and below, and their axes are turned.
 T_BASE_MARKERS = geometry.pose_from_tq((0.069, -0.028, -0.124), (0.3, -0.5, 0.6, 0.2))
@@ -25,6 +27,11 @@ def robot_run(stamps, speed, begin=10.0, end=80.0, radius=2.0):
 
 def turned_along(positions, angles):
     return positions, geometry.quaternion_from_matrix(geometry.rotation_from_axes('xyz', angles))
+
+
+def with_noise(positions, quaternions, metres, radians, random):
+    turns = geometry.rotation_from_axes('xyz', radians * random.normal(size=positions.shape))
+    return positions + metres * random.normal(size=positions.shape), geometry.quaternion_from_matrix(geometry.matrix_from_quaternion(quaternions) @ turns)
 
 
 class Truth(unittest.TestCase):
@@ -128,6 +135,86 @@ class Truth(unittest.TestCase):
         for few in ([7], [7, 97], range(0, len(stamps), 9)):  # an old map, a slow camera: nothing to compare
             few = evaluation.Track(stamps[few], way[few])
             self.assertEqual(reference_clock.clock_shift(reference, few, True), 0.0)
+
+    def test_poses_that_a_motion_capture_made_up(self):
+        """A body that it lost keeps its last pose, lies at 0, or elsewhere, or is turned over; from 30 to 200 Hz, with noise and without."""
+        for rate in (30, 100, 200):
+            stamps, moving, end = np.arange(0, 90, 1 / rate), 40 * rate, 70 * rate
+            for speed, metres in ((0.3, 0.0), (0.3, 1e-3), (2.0, 0.0), (2.0, 1e-3)):
+                truth_is = with_noise(*robot_run(stamps, speed), metres, metres, np.random.default_rng(1))
+                for fault, begin, count in (('held', moving, rate), ('held', moving, 5 * rate), ('held', end, len(stamps) - end), ('zero', moving, 1), ('zero', moving, rate), ('zero', 0, 3 * rate),
+                                            ('zero', end, len(stamps) - end), ('off', moving, 1), ('off', moving, rate // 10), ('over', moving, rate // 10)):
+                    positions, quaternions = (values.copy() for values in truth_is)
+                    wrong = slice(begin, begin + count)
+                    if fault == 'held':
+                        positions[wrong], quaternions[wrong] = positions[begin - 1], quaternions[begin - 1]
+                    elif fault == 'zero':
+                        positions[wrong], quaternions[wrong] = 0, (0, 0, 0, 1)
+                    elif fault == 'off':
+                        positions[wrong] += (1, -2, 0.5)
+                    else:
+                        quaternions[wrong] = geometry.quaternion_from_matrix(geometry.matrix_from_quaternion(quaternions[wrong]) @ np.diag([1, -1, -1]))
+                    believed = reference_faults.believable(stamps, positions, quaternions)
+                    what = (rate, speed, metres, fault, begin, count)
+                    self.assertFalse(np.any(believed[wrong]), what)
+                    self.assertLessEqual(np.count_nonzero(~believed), count + 1, what)  # the pose that is repeated was right once
+
+    def test_poses_that_a_body_can_have(self):
+        """What stands exactly still, starts by fractions of a millimetre, is told rarely, twice, rounded or corrected, or moves quickly."""
+        random = np.random.default_rng(2)
+
+        def all_believed(what, *poses):
+            self.assertTrue(np.all(reference_faults.believable(*poses)), what)
+
+        for rate in (1, 5, 10, 30, 100, 200):
+            stamps = np.arange(0, 90, 1 / rate)
+            jitter = np.clip(0.2 * random.normal(size=len(stamps)), -0.45, 0.45) / rate
+            for speed in (0.06, 0.5, 3.0):
+                p, q = robot_run(stamps, speed)
+                hold = np.arange(len(stamps)) // (5 * rate)
+                corrected = p + 0.05 * random.normal(size=(hold[-1] + 1, 3))[hold]
+                all_believed((rate, speed, 'smooth'), stamps, p, q)
+                all_believed((rate, speed, 'positions alone'), stamps, p, 0 * q)
+                all_believed((rate, speed, 'jitter'), stamps + jitter, p, q)
+                all_believed((rate, speed, 'rounded'), stamps, np.round(p, 2), np.round(q, 3))
+                all_believed((rate, speed, 'corrected'), stamps, *with_noise(corrected, q, 0.01, 1e-3, random))
+                for metres in (1e-4, 1e-3, 1e-2):
+                    all_believed((rate, speed, metres), stamps, *with_noise(p, q, metres, metres, random))
+                for times in (2, 3, 20):
+                    again = np.arange(len(stamps)) // times * times
+                    all_believed((rate, speed, times), stamps, p[again], q[again])
+                at_rest_mostly = robot_run(stamps, speed, 70.0, 75.0)
+                all_believed((rate, speed, 'rest'), stamps, *at_rest_mostly)
+                all_believed((rate, speed, 'noisy rest'), stamps, *with_noise(*at_rest_mostly, 1e-4, 1e-4, random))
+                stop_and_go = np.cumsum(np.where(stamps % 10 < 4, 0, speed / rate))  # at once, as a simulated robot may
+                all_believed((rate, speed, 'stops'), stamps, *turned_along(np.outer(stop_and_go, (1, 0, 0)), np.outer(stop_and_go, (0, 0, 0))))
+        for rate in (30, 100, 200):  # a hand, at rest most of the time
+            stamps = np.arange(0, 60, 1 / rate)
+            now = np.convolve(np.sin(0.3 * stamps) > 0.7, np.ones(rate // 3) / (rate // 3), 'same')[:, None]
+            hand = turned_along(now * np.stack([0.2 * np.sin(7 * stamps), 0.15 * np.sin(9 * stamps + 1), 0.1 * np.sin(13 * stamps)], 1),
+                                now * np.stack([np.sin(8 * stamps), 0.8 * np.sin(6 * stamps), 1.2 * np.sin(5 * stamps)], 1))
+            all_believed(('hand', rate), stamps, *hand)
+            all_believed(('noisy hand', rate), stamps, *with_noise(*hand, 5e-4, 1e-3, random))
+        for few in range(4):
+            all_believed(few, stamps[:few], hand[0][:few], hand[1][:few])
+
+    def test_a_bags_poses_that_are_left_out_are_said(self):
+        stamps = np.arange(100, 120, 0.02)
+        positions, quaternions = robot_run(stamps, 1.0, 102.0, 115.0)
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                for i, stamp in enumerate(stamps):
+                    lost = 400 <= i < 450
+                    pose = geometry.pose() if lost else geometry.pose_from_tq(positions[i], quaternions[i])
+                    bag.write('/ground_truth/ground', messages.pose_stamped(pose, stamp, 'world'), messages.stamp(stamp))
+            facts = bag_reader.BagFacts(path)
+            reference = facts.reference('/ground_truth/ground')
+            self.assertEqual((len(reference.stamps), reference.left_out), (len(stamps) - 50, 50))
+            poses = geometry.pose_from_tq((0, 0, 0), (0, 0, 0, 1)) @ reference.poses
+            track, _, (note,) = truth.camera_track(facts, '/ground_truth/ground', 'ground', 'base', np.eye(4), evaluation.Track(reference.stamps, poses))
+            self.assertIn('/ground_truth/ground: 50 of 1000 reference poses are left out', note)
+            self.assertFalse(np.any(track.at(np.array([108.5]))[1]))
 
     def test_noise_is_no_way(self):
         """A sum of steps makes 647 m of 150 m. What is exact keeps its length; a body at rest goes nowhere."""

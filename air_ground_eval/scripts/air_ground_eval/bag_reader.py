@@ -9,7 +9,7 @@ import rosbag
 import roslib.message
 import rospy
 
-from . import geometry, messages, own_outputs
+from . import geometry, messages, own_outputs, reference_faults
 from .bag_topics import PACKETS
 from .evaluation import Track
 from .truth import Reference
@@ -286,7 +286,7 @@ class BagFacts:
         return reached.get(source)
 
     def reference(self, topic):
-        """The Reference on a topic, whatever body its poses are of; None when the bag holds no such topic or no poses. What is not finite is left out."""
+        """The Reference on a topic, whatever body its poses are of; None when the bag holds no such topic or no poses. What is not finite, or not believable, is left out."""
         kind = self.types.get(topic)
         if kind not in POSE_TYPES:
             return None
@@ -300,17 +300,20 @@ class BagFacts:
                     positions.append((p.x, p.y, p.z))
                     quaternions.append((q.x, q.y, q.z, q.w) if q else (0, 0, 0, 0))
                 frame = getattr(message, 'child_frame_id', '') or frame
-        norms = np.linalg.norm(quaternions, axis=1) if stamps else np.zeros(0)
+        stamps, positions, quaternions = np.array(stamps), np.array(positions).reshape(-1, 3), np.array(quaternions, float).reshape(-1, 4)
+        norms = np.linalg.norm(quaternions, axis=1)
         turned = np.isfinite(norms) & (norms > 1e-9)
         attitude = bool(np.any(turned))
-        keep = turned if attitude else np.ones(len(stamps), bool)
-        if np.count_nonzero(keep) < 2:
+        quaternions[~turned] = 0
+        keep = np.flatnonzero(turned if attitude else np.ones(len(stamps), bool))
+        believed = keep[reference_faults.believable(stamps[keep], positions[keep], quaternions[keep])]
+        if len(believed) < 2:
             return None
-        poses = np.tile(np.eye(4), (np.count_nonzero(keep), 1, 1))
+        poses = np.tile(np.eye(4), (len(believed), 1, 1))
         if attitude:
-            poses[:, :3, :3] = geometry.matrix_from_quaternion(np.array(quaternions)[keep])
-        poses[:, :3, 3] = np.array(positions)[keep]
-        return Reference(np.array(stamps)[keep], poses, attitude, frame.lstrip('/'))
+            poses[:, :3, :3] = geometry.matrix_from_quaternion(quaternions[believed])
+        poses[:, :3, 3] = positions[believed]
+        return Reference(stamps[believed], poses, attitude, frame.lstrip('/'), len(keep) - len(believed))
 
     def pose_track(self, topic, T_base_camera):
         """Camera track from a topic with the poses of base_link, or None when the bag holds no such topic or no poses."""

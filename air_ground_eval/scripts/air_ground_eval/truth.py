@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from . import geometry
+from . import geometry, reference_faults
 from .evaluation import LEVER_ARM, Track
 from .reference_clock import WIDEST, clock_shift
 
@@ -21,11 +21,13 @@ SAME_PLACE, SAME_TURN = 0.05, 0.035  # between the mounting estimated and that o
 
 @dataclass
 class Reference:
-    """Poses of a body: stamps [s], T_w_b (n, 4, 4). attitude: false where the recording tells positions alone. frame: its name, '' where the recording has none."""
+    """Poses of a body: stamps [s], T_w_b (n, 4, 4). attitude: false where the recording tells positions alone. frame: its name, '' where the recording has none.
+    left_out: how many more were told that the body cannot have had (reference_faults)."""
     stamps: np.ndarray
     poses: np.ndarray
     attitude: bool = True
     frame: str = ''
+    left_out: int = 0
 
 
 @dataclass
@@ -134,10 +136,12 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     reference = bag.reference(topic)
     if reference is None:
         return None, '', []
+    notes = reference_faults.said(topic, reference.left_out, reference.left_out + len(reference.stamps))
     frame = reference.frame or (base if reference.attitude and topic.endswith(f'/ground_truth/{robot}') else '')
     T_frame_base = bag.static_transform(frame, base) if frame and reference.attitude else None
     kind = f'{"poses" if reference.attitude else "positions"} of {frame or "a body that is not named"}'
-    reference, moved, notes = _on_the_images_clock(reference, estimate, topic, robot)
+    reference, moved, said = _on_the_images_clock(reference, estimate, topic, robot)
+    notes += said
     if T_frame_base is not None:
         return Track(reference.stamps, reference.poses @ T_frame_base @ T_base_camera), kind + moved, notes
     if not len(estimate):
