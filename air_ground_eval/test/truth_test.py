@@ -216,6 +216,73 @@ class Truth(unittest.TestCase):
             self.assertIn('/ground_truth/ground: 50 of 1000 reference poses are left out', note)
             self.assertFalse(np.any(track.at(np.array([108.5]))[1]))
 
+    def test_positions_that_are_published_as_poses(self):
+        """A receiver's, bridged with one attitude for ever: taken for attitudes, a right odometry is off by all that it turns."""
+        stamps = np.arange(0, 60, 0.05)
+        camera = np.tile(np.eye(4), (len(stamps), 1, 1))
+        camera[:, :3, :3] = geometry.rotation_from_axes('xyz', np.stack([0.1 * np.sin(1.3 * stamps), 0.1 * np.cos(0.9 * stamps), 0.3 * stamps], 1))
+        camera[:, :3, 3] = np.stack([2 * np.cos(0.3 * stamps), 3 * np.sin(0.2 * stamps), 1.5 + 0.5 * np.sin(0.5 * stamps)], 1)
+        bridged = np.tile(np.eye(4), (len(stamps), 1, 1))
+        bridged[:, :3, 3] = (camera @ [0.1, -0.3, 0.2, 1])[:, :3]
+        straight = camera.copy()
+        straight[:, :3, :3] = np.eye(3)
+        for poses, estimate, positions in ((bridged, camera, True), (camera @ T_BASE_MARKERS, camera, False), (straight, straight, False)):
+            bag = mock.Mock(reference=lambda topic, poses=poses: truth.Reference(stamps, poses))
+            T_world_map = geometry.pose(geometry.rotation_z(0.7), (1, 2, 3))
+            track, what, notes = truth.camera_track(bag, '/rtk/pose', 'mav', 'base_link', np.eye(4), evaluation.Track(stamps, geometry.inverse(T_world_map) @ estimate))
+            self.assertEqual(what.startswith('positions of'), positions, what)
+            self.assertEqual(any('its attitudes never turn, while those of mav do' in note for note in notes), positions, notes)
+            self.assertLess(geometry.rotation_angle(np.swapaxes(track.poses, 1, 2)[:, :3, :3] @ estimate[:, :3, :3]).max(), np.radians(0.5))
+            self.assertLess(np.linalg.norm((track.poses - estimate)[:, :3, 3], axis=1).max(), 0.01)
+
+    def test_a_body_that_rests_tells_no_errors(self):
+        """As one that lies beside the flight: the scale between both is nothing, and was an error of millions of percent."""
+        random, stamps = np.random.default_rng(7), np.arange(0, 40, 0.02)
+        estimate = evaluation.Track(stamps, np.tile(np.eye(4), (len(stamps), 1, 1)))
+        estimate.poses[:, :3, :3] = geometry.rotation_from_axes('z', np.sin(0.3 * stamps)[:, None])
+        estimate.poses[:, :3, 3] = np.stack([2 * np.cos(0.5 * stamps), 3 * np.sin(0.4 * stamps), 0.5 * np.sin(0.5 * stamps)], 1)
+        for metres in (0.0, 1e-3, 0.03):
+            for attitude in (True, False):
+                rests, moves = (np.tile(geometry.pose(translation=(1, 2, 0)), (len(stamps), 1, 1)) for _ in range(2))
+                moves[:] = estimate.poses
+                for poses in (rests, moves):
+                    poses[:, :3, 3] += metres * random.normal(size=(len(stamps), 3))
+                    bag = mock.Mock(reference=lambda topic, r=truth.Reference(stamps, poses, attitude): r)
+                    track, what, notes = truth.camera_track(bag, '/vicon', 'mav', 'base_link', np.eye(4), estimate)
+                    self.assertEqual(track is None, poses is rests, what)
+                    self.assertEqual(len(notes), 1)
+                    self.assertEqual(any('which does not move while mav gives poses: no errors' in note for note in notes), poses is rests, notes)
+
+    def test_positions_on_a_line_and_the_vertical(self):
+        """A straight drive tells nothing of a turn about it; a right alignment was off by whatever noise made of that."""
+        for seed in range(5):
+            random, stamps = np.random.default_rng(seed), np.arange(0, 60, 0.05)
+            base = np.tile(np.eye(4), (len(stamps), 1, 1))
+            base[:, :3, :3] = geometry.rotation_from_axes('xyz', np.stack([0.005 * np.sin(7 * stamps), -0.05 + 0.005 * np.sin(9 * stamps), 0.4 + 0 * stamps], 1))
+            base[:, :3, 3] = 0.3 * stamps[:, None] * base[:, :3, 0].mean(0)  # uphill
+            camera = base @ geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.1, 0, 0.6))
+            prism = np.tile(np.eye(4), (len(stamps), 1, 1))
+            prism[:, :3, 3] = camera[:, :3, 3] + 0.01 * random.normal(size=(len(stamps), 3))
+            T_world_map = geometry.pose(geometry.rotation_z(random.uniform(-3, 3)), (1, 2, 3))
+            T_world_map[:3, :3] = T_world_map[:3, :3] @ geometry.rotation_from_axes('xy', [[0.01, -0.01]])[0]
+            estimate = evaluation.Track(stamps, geometry.inverse(T_world_map) @ camera)
+            estimate.poses[:, :3, 3] += np.cumsum(random.normal(size=(len(stamps), 3)), 0) * 1e-3
+            bag = mock.Mock(reference=lambda topic, r=truth.Reference(stamps, prism, False): r)
+            track, _, notes = truth.camera_track(bag, '/prism', 'ground', 'base_link', np.eye(4), estimate)
+            self.assertIn('so nearly on a line', notes[-1])
+            tied = evaluation.tie_to_world(track, estimate)
+            self.assertLess(geometry.rotation_angle(tied[:3, :3].T @ T_world_map[:3, :3]), np.radians(2.0))
+        # Where the way is broad, or leads up, the map's own vertical counts for nothing.
+        stamps = np.arange(0, 60, 0.05)
+        for way in ((3 * np.sin(0.2 * stamps), 1.5 * np.cos(0.3 * stamps), 0 * stamps), (0 * stamps, 0 * stamps, 0.1 * stamps)):
+            camera = np.tile(np.eye(4), (len(stamps), 1, 1))
+            camera[:, :3, 3] = np.stack(way, 1)
+            tilted = geometry.pose(geometry.rotation_from_axes('x', [[0.3]])[0])
+            mounting = truth.estimate_mounting(truth.Reference(stamps, camera, False), evaluation.Track(stamps, geometry.inverse(tilted) @ camera))
+            self.assertFalse(mounting.vertical)
+            if way[0][-1]:
+                self.assertLess(geometry.rotation_angle(mounting.T_w_m[:3, :3].T @ tilted[:3, :3]), 1e-3)
+
     def test_noise_is_no_way(self):
         """A sum of steps makes 647 m of 150 m. What is exact keeps its length; a body at rest goes nowhere."""
         def slow(t):
