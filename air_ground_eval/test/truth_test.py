@@ -78,13 +78,26 @@ class Truth(unittest.TestCase):
         T_base_camera = geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.17, 0.03, 0.9))
         estimate = evaluation.Track(stamps, base @ T_base_camera)
         for T_base_body, of_base in ((np.eye(4), True), (geometry.pose(np.eye(3), (0.2, 0, 0)), False), (geometry.pose(geometry.rotation_z(0.1), (0, 0, 0)), False)):
-            bag = mock.Mock(reference=lambda topic, T=T_base_body: truth.Reference(stamps, base @ T))
+            bag = mock.Mock(reference=lambda topic, T=T_base_body: truth.Reference(stamps, base @ T), edges={})
             track, what, (note,) = truth.camera_track(bag, '/gt', 'ground', 'base_link', T_base_camera, estimate)
             self.assertEqual('moves as base_link does' in note, of_base, note)
             self.assertIn('along (0.00 0.00 1.00)', note.replace('-', ''))
             self.assertEqual(what == 'poses of base_link, by its motion', of_base)
             off = np.abs(track.poses[:, 2, 3] - 0.9).max()
             self.assertLess(off, 1e-6) if of_base else self.assertGreater(off, 0.5)
+            self.assertEqual(track.heights, of_base)  # else how far the camera is above the body is not known
+        # base_footprint, 0.12 m below, moves alike: nothing tells of which the poses are, and heights are not compared.
+        tf = {('base_footprint', 'base_link'): geometry.pose(np.eye(3), (0, 0, 0.12)), ('base_link', 'imu'): geometry.pose(np.eye(3), (0.3, 0, 0.2))}
+        bag = mock.Mock(reference=lambda topic: truth.Reference(stamps, base @ geometry.pose(np.eye(3), (0, 0, -0.12))), edges=tf,
+                        static_transform=lambda a, b: {'base_footprint': tf['base_footprint', 'base_link'], 'imu': geometry.inverse(tf['base_link', 'imu'])}.get(a))
+        track, what, (note,) = truth.camera_track(bag, '/gt', 'ground', 'base_link', T_base_camera, estimate)
+        self.assertIn('base_footprint would do as well', note)
+        self.assertNotIn('imu', note)
+        self.assertFalse(track.heights)
+        estimates = [evaluation.Estimate(20.0, geometry.pose(np.eye(3), (0.03, 0, 0)), 3, 1, np.zeros(6), T_mav_map_camera=estimate.poses[400])]
+        for heights, error in ((True, np.hypot(0.03, 0.12)), (False, 0.03)):
+            rows = evaluation.alignment_errors(estimates, np.eye(4), track, heights)
+            self.assertAlmostEqual(rows[0]['position_m'], error, places=3)
 
     def test_a_reference_of_another_clock(self):
         """A turn of 1 rad/s and 20 ms are 1.1 degrees that no odometry made. A robot that goes straight on tells no time: its poses stay as they are stamped."""
@@ -227,7 +240,7 @@ class Truth(unittest.TestCase):
         straight = camera.copy()
         straight[:, :3, :3] = np.eye(3)
         for poses, estimate, positions in ((bridged, camera, True), (camera @ T_BASE_MARKERS, camera, False), (straight, straight, False)):
-            bag = mock.Mock(reference=lambda topic, poses=poses: truth.Reference(stamps, poses))
+            bag = mock.Mock(reference=lambda topic, poses=poses: truth.Reference(stamps, poses), edges={})
             T_world_map = geometry.pose(geometry.rotation_z(0.7), (1, 2, 3))
             track, what, notes = truth.camera_track(bag, '/rtk/pose', 'mav', 'base_link', np.eye(4), evaluation.Track(stamps, geometry.inverse(T_world_map) @ estimate))
             self.assertEqual(what.startswith('positions of'), positions, what)
@@ -247,7 +260,7 @@ class Truth(unittest.TestCase):
                 moves[:] = estimate.poses
                 for poses in (rests, moves):
                     poses[:, :3, 3] += metres * random.normal(size=(len(stamps), 3))
-                    bag = mock.Mock(reference=lambda topic, r=truth.Reference(stamps, poses, attitude): r)
+                    bag = mock.Mock(reference=lambda topic, r=truth.Reference(stamps, poses, attitude): r, edges={})
                     track, what, notes = truth.camera_track(bag, '/vicon', 'mav', 'base_link', np.eye(4), estimate)
                     self.assertEqual(track is None, poses is rests, what)
                     self.assertEqual(len(notes), 1)
@@ -267,7 +280,7 @@ class Truth(unittest.TestCase):
             T_world_map[:3, :3] = T_world_map[:3, :3] @ geometry.rotation_from_axes('xy', [[0.01, -0.01]])[0]
             estimate = evaluation.Track(stamps, geometry.inverse(T_world_map) @ camera)
             estimate.poses[:, :3, 3] += np.cumsum(random.normal(size=(len(stamps), 3)), 0) * 1e-3
-            bag = mock.Mock(reference=lambda topic, r=truth.Reference(stamps, prism, False): r)
+            bag = mock.Mock(reference=lambda topic, r=truth.Reference(stamps, prism, False): r, edges={})
             track, _, notes = truth.camera_track(bag, '/prism', 'ground', 'base_link', np.eye(4), estimate)
             self.assertIn('so nearly on a line', notes[-1])
             tied = evaluation.tie_to_world(track, estimate)

@@ -19,9 +19,10 @@ LEVER_ARM = 0.5  # [m]: weighs rotations against positions when maps are tied to
 
 @dataclass
 class Track:
-    """A trajectory: stamps [s], increasing, and camera poses in a fixed frame."""
+    """A trajectory: stamps [s], increasing, and camera poses in a fixed frame. heights: false where they are off by an unknown constant."""
     stamps: np.ndarray
     poses: np.ndarray
+    heights: bool = True
 
     def __len__(self):
         return len(self.stamps)
@@ -187,8 +188,8 @@ def alignment_error(estimate, T_ground_map_world, mav_truth):
     return (float(np.linalg.norm(offset)), float(np.linalg.norm(offset[:2])), geometry.rotation_angle(rotation), float(abs(yaw)))
 
 
-def alignment_errors(estimates, T_ground_map_world, mav_truth):
-    """Dicts of the errors of those estimates that claim a pose (coarse: also the best of several) and have a truth."""
+def alignment_errors(estimates, T_ground_map_world, mav_truth, heights=True):
+    """Dicts of the errors of those estimates that claim a pose (coarse: also the best of several) and have a truth; position_m in plan where heights are not to be compared."""
     rows = []
     for estimate in estimates:
         claims = (STATUS_CONVERGED, STATUS_AMBIGUOUS) if estimate.stage == STAGE_COARSE else (STATUS_CONVERGED,)
@@ -197,7 +198,7 @@ def alignment_errors(estimates, T_ground_map_world, mav_truth):
         error = alignment_error(estimate, T_ground_map_world, mav_truth)
         if error is not None:
             rows.append({'estimate': estimate, 'stamp_s': estimate.stamp, 'height_maps': estimate.iterations, 'overlap': estimate.overlap, 'status': estimate.status,
-                         'position_m': error[0], 'horizontal_m': error[1], 'rotation_deg': float(np.degrees(error[2])),
+                         'position_m': error[0 if heights else 1], 'horizontal_m': error[1], 'rotation_deg': float(np.degrees(error[2])),
                          'yaw_deg': float(np.degrees(error[3]))})
     return rows
 

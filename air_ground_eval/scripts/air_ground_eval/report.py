@@ -191,7 +191,11 @@ class Report:
         if T_world_ground_map is None:
             return
         self.T_ground_map_world = geometry.inverse(T_world_ground_map)
-        rows = evaluation.alignment_errors(coarse, self.T_ground_map_world, r.mav_truth)
+        heights = r.ground_truth.heights and r.mav_truth.heights
+        if not heights:
+            v['alignment_errors_in_plan'] = True
+            r.notes.append('errors of the alignment are in plan: how high a camera is above the body of its reference poses is not known, as said of them')
+        rows = evaluation.alignment_errors(coarse, self.T_ground_map_world, r.mav_truth, heights)
         if rows:
             v['coarse_error_height_maps'] = [row['height_maps'] for row in rows]
             v['coarse_error_overlap'] = [row['overlap'] for row in rows]
@@ -200,7 +204,7 @@ class Report:
             v['coarse_error_yaw_deg'] = [row['yaw_deg'] for row in rows]
             v['coarse_error_status'] = [STATUS_NAMES.get(row['status'], str(row['status'])) for row in rows]
         self.figure['coarse'] = rows
-        rows = evaluation.alignment_errors(converged, self.T_ground_map_world, r.mav_truth)
+        rows = evaluation.alignment_errors(converged, self.T_ground_map_world, r.mav_truth, heights)
         missing = len(converged) - len(rows)
         if missing:
             v['refined_without_truth'] = missing
@@ -218,7 +222,7 @@ class Report:
             v['refined_errors_stamp_s'] = [row['stamp_s'] - self.begins['mav'] for row in rows]
             v['refined_errors_m'] = [row['position_m'] for row in rows]
             v['refined_errors_deg'] = [row['rotation_deg'] for row in rows]
-            alternative = evaluation.alignment_errors(converged, geometry.inverse(first), r.mav_truth)
+            alternative = evaluation.alignment_errors(converged, geometry.inverse(first), r.mav_truth, heights)
             v['refined_error_through_first_pose_m'] = alternative[-1]['position_m']
             v['refined_error_through_first_pose_deg'] = alternative[-1]['rotation_deg']
         self.figure['refined'] = rows

@@ -44,7 +44,7 @@ def table(v, notes):
         add(f'coarse error after height map {count}', f'{v["coarse_error_m"][i]:.3f} m, {v["coarse_error_yaw_deg"][i]:.1f} deg '
             f'({v["coarse_error_status"][i]})', {1: '< 0.5 m in 65 %', 4: '< 0.25 m in 89 %'}.get(count, ''))
     if 'refined_error_m' in v:
-        add('refined error', f'{v["refined_error_m"]:.3f} m, {v["refined_error_deg"]:.2f} deg', '0.08 m, 3.0 deg')
+        add('refined error' + (' in plan' if v.get('alignment_errors_in_plan') else ''), f'{v["refined_error_m"]:.3f} m, {v["refined_error_deg"]:.2f} deg', '0.08 m, 3.0 deg')
         if 'refined_scale_error_percent' in v:
             add('  scale between the maps', f'{v["refined_scale_error_percent"]:+.2f} %')
         add('  tied through the first pose', f'{v["refined_error_through_first_pose_m"]:.3f} m, '

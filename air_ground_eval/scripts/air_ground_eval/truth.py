@@ -19,6 +19,8 @@ FEWEST, MOST = 20, 1000  # poses with a reference that a mounting is estimated f
 LEAST_SHOWN = 0.05
 SAME_PLACE, SAME_TURN = 0.05, 0.035  # between the mounting estimated and that of base_link, whose poses the reference then tells [m], [rad]
 
+LEAST_APART, UPWARDS = 0.02, 0.9  # [m] from one frame to another; cosine
+
 UP = np.array([0.0, 0.0, 1.0])
 REST = 0.02  # [m], root mean square, or three standard deviations of the noise: what moves less does not move
 STEADY, TURNED = np.radians(0.5), np.radians(5.0)  # attitudes that never turn, of a body that did
@@ -133,6 +135,21 @@ def agrees(mounting, T_base_camera):
     return np.linalg.norm(arm) < SAME_PLACE and geometry.rotation_angle(mounting.T_b_c[:3, :3].T @ T_base_camera[:3, :3]) < SAME_TURN
 
 
+def _like_base(bag, mounting, base, T_base_camera):
+    """Frames beside `base` (base_footprint under it) whose mounting agrees as well, and lies elsewhere along what the motion does not tell."""
+    result = []
+    for frame in sorted({frame for edge in bag.edges for frame in edge} - {base}):
+        T_frame_base = bag.static_transform(frame, base)
+        if T_frame_base is not None and agrees(mounting, T_frame_base @ T_base_camera) and np.linalg.norm(mounting.free @ T_frame_base[:3, 3]) > LEAST_APART:
+            result.append(frame)
+    return result
+
+
+def _open_upwards(reference, mounting):
+    """Whether one of the directions in which the lever arm is not known is up, on average."""
+    return reference.attitude and bool(np.any(np.abs(np.mean(reference.poses[:, 2, :3] @ mounting.free.T, axis=0)) > UPWARDS))
+
+
 def mounted(reference, mounting, estimate):
     """Track of the camera by the reference; of positions alone with the attitudes of the estimate, where that is known."""
     if reference.attitude:
@@ -153,7 +170,7 @@ def _on_the_images_clock(reference, estimate, topic, robot):
     if shift == 0:
         return reference, '', []
     moved = f'{1e3 * abs(shift):.0f} ms {"later" if shift > 0 else "earlier"}'
-    said = (f'{topic} moves as {robot} does when its poses are taken as {moved} than stamped: another clock than that of the images, whose stamps the odometry has; '
+    said = (f'{topic} moves as {robot} does when its poses are taken as {moved} than stamped: another clock than that of the images, whose stamps the odometry has, or another instant of their exposure; '
             'errors are with them so')
     return dataclasses.replace(reference, stamps=reference.stamps + shift), f', {moved}', [said]
 
@@ -217,7 +234,11 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     open_axes = ' and '.join('(' + ' '.join(f'{x:.2f}' for x in axis) + ')' for axis in mounting.free)
     if reference.attitude and 0 < len(mounting.free) < 3 and agrees(mounting, T_base_camera):
         said = f'{topic} tells {kind}, which moves as {base} does: taken for that; the motion turns too little to tell how far they are apart along {open_axes}'
-        return Track(reference.stamps, reference.poses @ T_base_camera), f'poses of {base}, by its motion{moved}', notes + [said]
+        others = _like_base(bag, mounting, base, T_base_camera)
+        if others:
+            said += f'; {", ".join(others)} would do as well'
+        heights = not (others and _open_upwards(reference, mounting))
+        return Track(reference.stamps, reference.poses @ T_base_camera, heights), f'poses of {base}, by its motion{moved}', notes + [said]
     place = ' '.join(f'{x:.3f}' for x in mounting.T_b_c[:3, 3])
     if reference.attitude:
         turn = ' '.join(f'{x:.4f}' for x in geometry.quaternion_from_matrix(mounting.T_b_c[:3, :3]))
@@ -229,4 +250,5 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     if mounting.vertical:
         found += '; its positions lie so nearly on a line that they do not tell how the map is turned about it: z of the map is taken to be up, as that of the reference'
     outcome = f'errors of {robot}, and those of the alignment, contain what it is along these' if len(mounting.free) else f'errors of {robot} contain none of it'
-    return mounted(reference, mounting, estimate), f'{kind}, mounting estimated{moved}', notes + [f'{topic} tells {kind}, which no static transform connects to {base}: {found}; {outcome}']
+    track = dataclasses.replace(mounted(reference, mounting, estimate), heights=not _open_upwards(reference, mounting))
+    return track, f'{kind}, mounting estimated{moved}', notes + [f'{topic} tells {kind}, which no static transform connects to {base}: {found}; {outcome}']
