@@ -1,11 +1,11 @@
 #include "relocalizer.h"
 
 #include <algorithm>
-#include <opencv2/imgproc.hpp>
 #include <utility>
 #include <vector>
 
 #include "air_ground_common/statistics.h"
+#include "visual_frontend/image_noise.h"
 
 namespace mav_vo {
 
@@ -30,18 +30,6 @@ bool couldBegin(const std::vector<visual_frontend::Feature>& features, const Odo
     if (f.age >= kSteadyImages) steps.push_back((f.pixel - f.previous_pixel).norm());
   return static_cast<int>(steps.size()) >= settings.bootstrap.min_common &&
          air_ground_common::median(std::move(steps)) > settings.standstill.pixels;
-}
-
-/// A covered lens at a high gain: its corners are of noise, of which the mean over 8x8 pixels leaves an eighth, where a
-/// scene keeps a third or more.
-bool isNoise(const cv::Mat& gray) {
-  constexpr double kShrink = 1 / 8.0, kLeft = 0.2;
-  cv::Mat small;
-  cv::resize(gray, small, {}, kShrink, kShrink, cv::INTER_AREA);
-  cv::Scalar mean, all, coarse;
-  cv::meanStdDev(gray, mean, all);
-  cv::meanStdDev(small, mean, coarse);
-  return coarse[0] < kLeft * all[0];
 }
 
 }  // namespace
@@ -90,7 +78,8 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   visual_frontend::describeKeyframe(gray, camera_, settings_.place, query);
   last_search_ = stamp;
   const double since = std::exchange(unsearched_, 0), begins = std::exchange(could_begin_for_, 0);
-  if (!isNoise(gray)) strange_for_ += query.orb_pixels.size() >= 2u * settings_.place.min_inliers ? since : begins;
+  if (!visual_frontend::isNoise(gray))
+    strange_for_ += query.orb_pixels.size() >= 2u * settings_.place.min_inliers ? since : begins;
   const auto match = visual_frontend::relocalize(map, camera_, query, gate, settings_.place);
   if (!match.success) {
     reason_ = "lost: no known place recognised (" + match.reason + "); show the camera what it has seen before";

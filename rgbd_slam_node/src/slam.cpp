@@ -8,6 +8,7 @@
 #include "air_ground_common/covariance.h"
 #include "displacement.h"
 #include "slam_impl.h"
+#include "visual_frontend/image_noise.h"
 
 namespace rgbd_slam {
 
@@ -104,6 +105,10 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
   if (with_depth < settings.min_start_features) {
     result.reason = "only " + std::to_string(with_depth) + " of " + std::to_string(result.tracked) +
                     " features have depth, " + std::to_string(settings.min_start_features) + " are needed to start";
+    return result;
+  }
+  if (visual_frontend::isNoise(images.gray)) {
+    result.reason = "the images show nothing but noise: uncover the lens, or give it light";
     return result;
   }
   const bool up_known = motion.upKnownAt(stamp);
@@ -318,7 +323,9 @@ visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images, Keyf
   describe(images, *query);
   const auto with_depth =
       std::count_if(query->orb_depth.begin(), query->orb_depth.end(), [](double z) { return z > 0; });
-  if (with_depth >= settings.min_start_features && !hasStoodSinceLost(images.stamp)) search.sawAPlace();
+  if (with_depth >= settings.min_start_features && !visual_frontend::isNoise(images.gray) &&
+      !hasStoodSinceLost(images.stamp))
+    search.sawAPlace();
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = lastPose();
   gate.max_distance = settings.relocalization_slack + settings.max_speed * (images.stamp - frames.lastStamp());

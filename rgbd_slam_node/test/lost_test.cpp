@@ -15,14 +15,40 @@ using simulated::Robot;
 struct Step {
   double stamp, seen_at;  ///< the image is that of the time `seen_at` [s]
   bool black = false, without_depth = false;
+  double noise = 0;  ///< of black images, standard deviation [grey levels]
 };
 
 SlamResult take(const Robot& robot, Slam& slam, const Step& step) {
   simulated::synthetic::Random random(17);
   auto frame = robot.frame(step.seen_at, random);
   if (step.black) frame.gray.setTo(15);
+  if (step.noise > 0) {
+    static cv::RNG grain(3);
+    cv::Mat noise(frame.gray.size(), CV_8S);
+    grain.fill(noise, cv::RNG::NORMAL, 0, step.noise);
+    cv::add(frame.gray, noise, frame.gray, cv::noArray(), CV_8U);
+  }
   if (step.without_depth) frame.depth.setTo(std::numeric_limits<float>::quiet_NaN());
   return slam.process(step.stamp, frame.gray, cv::Mat(), frame.depth, robot.told_delay);
+}
+
+// The light goes out, the gain rises, and the depth camera, which has a light of its own, goes on.
+TEST(Lost, NoiseInTheDarkIsNoOtherPlaceAndBeginsNoMap) {
+  Robot robot;
+  Slam slam(robot.camera, robot.mounting, {});
+  for (double stamp = 0.1; stamp < 1; stamp += 0.1) {
+    const SlamResult dark = take(robot, slam, {stamp, stamp, true, false, 8});
+    EXPECT_EQ(dark.state, State::kInitializing);
+    EXPECT_NE(dark.reason.find("nothing but noise"), std::string::npos) << dark.reason;
+  }
+  drive(robot, slam, 1, 6, false);
+  ASSERT_EQ(slam.counters().maps, 1);
+  double stamp = 6.1;
+  for (; stamp < 14; stamp += 0.1) take(robot, slam, {stamp, stamp, true, false, 8});
+  SlamResult last;
+  for (; stamp < 20 && last.state != State::kTracking; stamp += 0.1) last = take(robot, slam, {stamp, 5.5});
+  EXPECT_EQ(last.state, State::kTracking) << last.reason;
+  EXPECT_EQ(slam.counters().maps, 1);
 }
 
 // A long map keeps few images; the robot is carried back to where it began.
