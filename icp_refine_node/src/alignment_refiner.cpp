@@ -193,6 +193,12 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
   const Similarity& T_tracked = tracked_->T_ground_map_mav_map;
   RefineOutcome out = attempt(reading, T_tracked);
   keepIfKnownBetter(reading, &out);
+  // Along what the geometry leaves open ICP may have gone anywhere: it is the pose itself that must not be
+  // contradicted.
+  if (out.contradicted && !out.icp.localizability.complete()) {
+    const HeightCheck there = heights_->check(transformed(reading, T_tracked), ground_camera_);
+    out.contradicted = there.conclusive && there.agreement() < settings_.min_agreement;
+  }
   // A loop closure moves the ground map by more than ICP reaches from the last pose.
   const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
   if (moved_grounds_ > 0 && out.status != RefineStatus::kConverged && !too_little) {
