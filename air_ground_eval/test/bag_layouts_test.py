@@ -19,7 +19,7 @@ from std_msgs.msg import Float32, Header
 HERE = os.path.dirname(os.path.realpath(__file__))
 SCRIPTS = os.path.join(HERE, '..', 'scripts')
 sys.path[:0] = [HERE, SCRIPTS]
-from air_ground_eval import bag_guess, bag_reader, bag_robots, bag_topics, geometry, messages  # noqa: E402
+from air_ground_eval import bag_guess, bag_parts, bag_reader, bag_robots, bag_topics, geometry, messages  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 from as_module import load  # noqa: E402
 
@@ -44,15 +44,15 @@ def intrinsics(f, cx, cy):
 class Recording:
     """A bag of 2 s."""
 
-    def __init__(self, path, mountings=()):
-        self.path = path
+    def __init__(self, path, mountings=(), begin=100):
+        self.path, self.begin = path, begin
         with rosbag.Bag(path, 'w') as bag:
             if mountings:
                 messages.write_latched(bag, '/tf_static', messages.static_transforms([(p, c, np.eye(4)) for p, c in mountings], 99), 99)
 
     def add(self, topic, rate, message):
         with rosbag.Bag(self.path, 'a') as bag:
-            for t in np.arange(100, 102, 1 / rate):
+            for t in np.arange(self.begin, self.begin + 2, 1 / rate):
                 bag.write(topic, message(t), messages.stamp(t))
         return self
 
@@ -423,8 +423,15 @@ class BagLayouts(unittest.TestCase):
     def test_parts_are_joined_and_stamps_mended(self):
         first = Recording(self.path('x_0.bag'), [('mav_base_link', 'cam'), ('mav_base_link', 'imu')])
         first.camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0).imu('/mav/imu/data', 'imu')
-        Recording(self.path('x_1.bag')).camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0).imu('/mav/imu/data', 'imu')
-        self.assertIn('join_bags x_*.bag x.bag', self.check(path=self.path('x_1.bag'))[1])
+        Recording(self.path('x_1.bag'), begin=102).camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0).imu('/mav/imu/data', 'imu')
+        parts = [self.path(f'x_{number}.bag') for number in (0, 1)]
+        self.assertIn(f'join_bags {" ".join(parts)} {self.path("x.bag")}', self.check(path=parts[1])[1])
+        Recording(self.path('x_2.bag'), begin=500).imu('/mav/imu/data', 'imu')  # of another flight
+        split = [self.path(f's_2026-11-30-10-0{number}-00_{number}.bag') for number in (0, 1)]
+        for number, path in enumerate(split):
+            Recording(path, begin=100 + 2 * number).imu('/mav/imu/data', 'imu')
+        for paths, expected in ((parts, [parts] * 2), (split, [split] * 2), ([self.path('x_2.bag')], [[]])):
+            self.assertEqual([bag_parts.parts_beside(path) for path in paths], expected)
         topics = ['--restamp', '/mav/camera/image_raw', '--restamp', '/mav/camera/camera_info']
         status, output = run('join_bags', self.path('x_0.bag'), self.path('x_1.bag'), self.path('x.bag'), *topics)
         self.assertEqual(status, 0, output)

@@ -1,11 +1,9 @@
 """Checks of a bag against what the nodes need: topics, types, rates, stamps, calibration, IMU units, frames, transforms."""
-import os
-import re
 import shlex
 
 import numpy as np
 
-from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_missing, bag_names, city_truth, own_outputs
+from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_missing, bag_names, bag_parts, city_truth, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_missing import OPTIONAL
 from .bag_reader import APART, POSE_TYPES, BagFacts, open_bag
@@ -158,7 +156,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += bag_frames.check_static(facts)
     frames = {robot: {frame.lstrip('/') for standard, topic in present.items() if standard.startswith(f'/{robot}/') for frame in streams[topic].frames} for robot in robots}
     findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases, frames)
-    findings += own_outputs.check(facts) + _elsewhen(facts) + _parts(facts)
+    findings += own_outputs.check(facts) + _elsewhen(facts) + [Finding(WARNING, text) for text in filter(None, [bag_parts.advice(facts.path)])]
     registration = _registration(present, streams)
     findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '',
                                                                bag_missing.import_line(facts, actual), apart != '')
@@ -339,16 +337,3 @@ def _elsewhen(facts):
     return [Finding(WARNING, f'recorded more than {APART:.0f} s before all images and IMU readings, or after them ({away:.0f} s at the most): {", ".join(names[:6])}{" ..." if len(names) > 6 else ""}. '
                     'Was the clock set meanwhile, or were they added? A replay leaves them out, but for static transforms; rosbag play would wait until then: '
                     f'rosbag filter {shlex.quote(facts.path)} NEW.bag "{facts.begin} <= t.to_sec() <= {facts.end}"  writes a bag without them')]
-
-
-def _parts(facts):
-    """rosbag record --split writes x_0.bag, x_1.bag ...: one recording."""
-    folder, name = os.path.split(os.path.abspath(facts.path))
-    part = re.fullmatch(r'(.*)_(\d+)\.bag', name)
-    if part is None:
-        return []
-    others = [f'{part[1]}_{int(part[2]) + step}.bag' for step in (-1, 1)]
-    if not any(os.path.isfile(os.path.join(folder, other)) for other in others):
-        return []
-    return [Finding(WARNING, f'{name} seems to be a part of a recording that was split; transforms and calibration may be in the first part alone: '
-                    f'rosrun air_ground join_bags {part[1]}_*.bag {part[1]}.bag makes one of them')]
