@@ -121,10 +121,11 @@ class BagChoices(unittest.TestCase):
     def test_thermal_images_are_not_dark(self):
         """A microbolometer of 14 bits: all that it sees lies within 500 counts, which the nodes stretch."""
         counts = (7400 + np.add.outer(np.arange(48), np.arange(64)) / 110 * 500).astype(np.uint16)
-        for array, text in ((counts, 'ok      /thermal/image_raw: its pixels use counts 7'), (0 * counts + 7400, 'image 3 is flat')):
-            def image(t, array=array):
-                message = messages.image(array, '16UC1', t, 'cam')
-                message.encoding = 'mono16'
+        for array, padding, text in ((counts, 0, 'ok      /thermal/image_raw: its pixels use counts 7'), (counts, 8, 'ok      /thermal/image_raw: its pixels use counts 7'),
+                                     (0 * counts + 7400, 0, 'image 3 is flat'), (0 * counts + 7400, 8, 'image 3 is flat')):
+            def image(t, array=array, padding=padding):
+                message = messages.image(np.pad(array, ((0, 0), (0, padding))), '16UC1', t, 'cam')  # rows are filled up with zeros
+                message.encoding, message.width = 'mono16', array.shape[1]
                 return message
 
             recording = self.recording(('base_link', 'cam')).add('/thermal/image_raw', 10, image)

@@ -361,7 +361,7 @@ class BagLayouts(unittest.TestCase):
         for topic, drives in (('/background/rgb', False), ('/ground_truth/pose', False), ('/groundtruth', False), ('/ground/rgb', True), ('/ugv_1/rgb', True), ('/robot1/rgb', True)):
             self.assertEqual(bag_robots.has(topic, bag_robots.GROUND_WORDS), drives, topic)
         self.assertFalse(bag_robots.has('/length', bag_guess.TRUTH_WORDS))
-        recording = Recording(self.path(), [('base_link', 'cam')]).camera('/stairs/camera/color/image_raw', 'rgb8', 'cam').camera('/stairs/camera/depth/image_raw', '16UC1', 'cam')
+        Recording(self.path(), [('base_link', 'cam')]).camera('/stairs/camera/color/image_raw', 'rgb8', 'cam').camera('/stairs/camera/depth/image_raw', '16UC1', 'cam')
         self.assert_arguments(self.check()[2], ground_image='/stairs/camera/color/image_raw', mav_image=None)
 
     def found(self, text, level='ERROR', imu=None, recording=None, **camera):
@@ -426,11 +426,11 @@ class BagLayouts(unittest.TestCase):
         Recording(self.path('x_1.bag'), begin=102).camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0).imu('/mav/imu/data', 'imu')
         parts = [self.path(f'x_{number}.bag') for number in (0, 1)]
         self.assertIn(f'join_bags {" ".join(parts)} {self.path("x.bag")}', self.check(path=parts[1])[1])
-        Recording(self.path('x_2.bag'), begin=500).imu('/mav/imu/data', 'imu')  # of another flight
         split = [self.path(f's_2026-11-30-10-0{number}-00_{number}.bag') for number in (0, 1)]
-        for number, path in enumerate(split):
-            Recording(path, begin=100 + 2 * number).imu('/mav/imu/data', 'imu')
-        for paths, expected in ((parts, [parts] * 2), (split, [split] * 2), ([self.path('x_2.bag')], [[]])):
+        others = [self.path(name) for name in ('x_2.bag', 's_2026-11-30-09-00-00_0.bag')]  # of other flights
+        for path, begin in zip(split + others, (100, 102, 500, 50)):
+            Recording(path, begin=begin).imu('/mav/imu/data', 'imu')
+        for paths, expected in ((parts, [parts] * 2), (split, [split] * 2), (others, [[], []])):
             self.assertEqual([bag_parts.parts_beside(path) for path in paths], expected)
         topics = ['--restamp', '/mav/camera/image_raw', '--restamp', '/mav/camera/camera_info']
         status, output = run('join_bags', self.path('x_0.bag'), self.path('x_1.bag'), self.path('x.bag'), *topics)

@@ -2,14 +2,12 @@
 """check_bag on bags of robots whose transforms, names or images are as few have them: which camera is whose, and what it prints works as printed."""
 import os
 import re
-import shlex
 import sys
 import unittest
 
 import numpy as np
 import rosunit
 from sensor_msgs.msg import Image
-from tf2_msgs.msg import TFMessage
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]

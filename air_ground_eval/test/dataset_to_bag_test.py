@@ -14,7 +14,7 @@ from PIL import Image
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_check, bag_reader, datasets, geometry, imu_synthesis, registration  # noqa: E402
+from air_ground_eval import bag_check, bag_reader, datasets, evaluation, geometry, imu_synthesis, registration  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 WIDTH, HEIGHT = 160, 120
@@ -136,6 +136,12 @@ def messages_of(path, topic):
         return [m for _, m, _ in bag.read_messages([topic])]
 
 
+def camera_truth(facts):
+    """Track of the MAV's camera by the bag's reference poses of base_link."""
+    reference = facts.reference('/ground_truth/mav')
+    return evaluation.Track(reference.stamps, reference.poses @ facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
+
+
 class DatasetToBag(unittest.TestCase):
     def setUp(self):
         temporary = tempfile.TemporaryDirectory()
@@ -219,7 +225,7 @@ class DatasetToBag(unittest.TestCase):
         # The camera relative to the IMU is what sensor.yaml says, whatever base_link was chosen.
         facts = bag_reader.BagFacts(self.bag)
         self.assertTrue(np.allclose(facts.static_transform('mav_imu_link', 'mav_camera_optical_frame'), T_body_camera, atol=1e-6))
-        truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
+        truth = camera_truth(facts)
         expected = geometry.pose(None, (0.01 * 40, 0, 1)) @ T_body_camera
         self.assertTrue(np.allclose(truth.poses[40], expected, atol=1e-5))
 
@@ -303,7 +309,7 @@ class DatasetToBag(unittest.TestCase):
         self.assertEqual((info.distortion_model, info.K[4], len(info.D)), ('equidistant', 101, 4))
         facts = bag_reader.BagFacts(self.bag)
         np.testing.assert_allclose(facts.static_transform('mav_imu_link', 'mav_camera_optical_frame'), T_imu_camera, atol=1e-6)
-        truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
+        truth = camera_truth(facts)
         np.testing.assert_allclose(truth.poses[40], geometry.pose(None, (0.01 * 40, 0, 1)) @ T_imu_camera, atol=1e-5)
 
     def expect_gps_of_zurich(self):
@@ -339,7 +345,7 @@ class DatasetToBag(unittest.TestCase):
         T_base_imu = facts.static_transform('mav_base_link', 'mav_imu_link')
         self.assertTrue(np.allclose(T_base_imu[:3, :3] @ [0, 0, 1], [0, 0, -1], atol=1e-9))
         self.assertTrue(np.allclose(T_base_imu[:3, :3] @ [0, -1, 0], [1, 0, 0], atol=1e-9))
-        truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
+        truth = camera_truth(facts)
         # 0.455 degrees west of the zone's meridian, at 47.38 degrees north: grid north is 0.335 degrees west of true north.
         axis = truth.poses[0][:3, 2]
         self.assertAlmostEqual(np.degrees(np.arctan2(axis[0], axis[1])), -0.455 * np.sin(np.radians(47.38)), delta=0.002)

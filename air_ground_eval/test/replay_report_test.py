@@ -242,7 +242,7 @@ class ReplayReport(unittest.TestCase):
             nothing = evaluation.Track(np.zeros(0), np.zeros((0, 4, 4)))
             own = truth.camera_track(facts, '/ground_truth/mav', 'mav', 'mav_base_link', T_base_camera, nothing)
             self.assertEqual(own[1:], ('poses of mav_base_link', []))
-            self.assertTrue(np.array_equal(own[0].poses, facts.pose_track('/ground_truth/mav', T_base_camera).poses))
+            self.assertTrue(np.array_equal(own[0].poses, facts.reference('/ground_truth/mav').poses @ T_base_camera))
             vicon = truth.camera_track(facts, '/vicon/firefly_sbx/firefly_sbx', 'mav', 'mav_base_link', T_base_camera, nothing)
             self.assertEqual(vicon[1:], ('poses of vicon/firefly_sbx/firefly_sbx', []))
             self.assertTrue(np.allclose(vicon[0].poses, own[0].poses, atol=1e-9))

@@ -144,7 +144,7 @@ class Truth(unittest.TestCase):
             for attitude in (True, False):
                 self.assertEqual(reference_clock.clock_shift(reference, estimate, attitude), 0.0)
         late = evaluation.Track(stamps + 3.0, way)
-        self.assertIn(reference_clock.clock_shift(late, estimate, True), (None, 0.0))
+        self.assertIsNone(reference_clock.clock_shift(late, estimate, True))
         for few in ([7], [7, 97], range(0, len(stamps), 9)):  # an old map, a slow camera: nothing to compare
             few = evaluation.Track(stamps[few], way[few])
             self.assertEqual(reference_clock.clock_shift(reference, few, True), 0.0)

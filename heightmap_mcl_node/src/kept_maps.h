@@ -56,6 +56,7 @@ class KeptMaps {
 
   bool empty() const { return clouds_.empty(); }
   std::size_t size() const { return clouds_.size(); }
+  const AerialCloud& newestCloud() const { return clouds_.back().given; }
   /// Defined cells of the largest map.
   double largest() const;
   /// Position of the MAV at the newest cloud, level [m].

@@ -37,6 +37,9 @@ HeightMapLocalizer::HeightMapLocalizer(const HeightMapLocalizerSettings& setting
 HeightMapLocalizer::~HeightMapLocalizer() = default;
 
 bool HeightMapLocalizer::hasAerial() const { return !kept_->empty(); }
+Eigen::Vector3d HeightMapLocalizer::reference() const {
+  return kept_->empty() ? Eigen::Vector3d(Eigen::Vector3d::Zero()) : kept_->newestCloud().reference;
+}
 std::size_t HeightMapLocalizer::farMapsDropped() const { return kept_->farDropped(); }
 
 const HeightMap& HeightMapLocalizer::groundMap() const {

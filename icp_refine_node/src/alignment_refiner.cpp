@@ -196,8 +196,7 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
   // Along what the geometry leaves open ICP may have gone anywhere: it is the pose itself that must not be
   // contradicted.
   if (out.contradicted && !out.icp.localizability.complete()) {
-    const HeightCheck there = heights_->check(transformed(reading, T_tracked), ground_camera_);
-    out.contradicted = there.conclusive && there.agreement() < settings_.min_agreement;
+    out.contradicted = contradict(heights_->check(transformed(reading, T_tracked), ground_camera_));
   }
   // A loop closure moves the ground map by more than ICP reaches from the last pose.
   const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
@@ -227,6 +226,10 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading) {
   return out;
 }
 
+bool AlignmentRefiner::contradict(const HeightCheck& heights) const {
+  return heights.conclusive && heights.agreement() < settings_.min_agreement;
+}
+
 // Where little of the geometry is in view, the pose is better known from before.
 void AlignmentRefiner::keepIfKnownBetter(const Cloud& reading, RefineOutcome* out) const {
   constexpr double kLess = 2;
@@ -236,7 +239,7 @@ void AlignmentRefiner::keepIfKnownBetter(const Cloud& reading, RefineOutcome* ou
   if (!(alone > kLess * known) || !(squaredSigmas(*tracked_, out->icp) < settings_.known_squared_sigmas)) return;
   const Similarity& T = tracked_->T_ground_map_mav_map;
   const HeightCheck heights = heights_->check(transformed(reading, T), ground_camera_);
-  if (heights.conclusive && heights.agreement() < settings_.min_agreement) return;
+  if (contradict(heights)) return;
   out->kept = true;
   out->heights = heights;
   out->overlap = heights.overlap();
@@ -406,8 +409,8 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
     compareWithCoarse(out);
     out.heights = heights_->check(transformed(whole, out.T_ground_map_mav_map), ground_camera_);
     out.overlap = out.heights.overlap();
-    out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
-                       (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);
+    out.contradicted = out.overlap >= settings_.min_overlap &&
+                       (contradict(out.heights) || (out.heights.conclusive && icp.residual_rms > settings_.max_rms));
   }
   judge(out);
   if (out.status == RefineStatus::kRejected) withhold(out.status, out.reason, &out);

@@ -51,6 +51,28 @@ TEST_F(FlyingOn, ButNotOnAGroundMapThatHasMoved) {
   EXPECT_FALSE(refiner.refine().kept);
 }
 
+// Floor where the ground robot has seen boxes: nothing fixes where ICP ends, and no place near the pose is right.
+TEST_F(FlyingOn, WhatContradictsThePoseItselfEndsItHoweverOpenTheGeometryIs) {
+  for (int k = 0; k < 5; ++k) {
+    see(little);
+    const RefineOutcome out = refiner.refine();
+    ASSERT_FALSE(out.icp.localizability.complete());
+    EXPECT_FALSE(out.contradicted) << out.reason;
+  }
+  ASSERT_TRUE(refiner.tracking());
+  Cloud flat = little;
+  std::vector<float> heights;
+  for (const auto& p : flat.points) heights.push_back(p.z());
+  std::nth_element(heights.begin(), heights.begin() + heights.size() / 4, heights.end());
+  for (auto& p : flat.points) p.z() = heights[heights.size() / 4];
+  for (int k = 1; k <= 3; ++k) {
+    ASSERT_TRUE(refiner.tracking()) << k;
+    see(flat);
+    EXPECT_EQ(refiner.refine().lost, k == 3) << k;
+  }
+  EXPECT_FALSE(refiner.tracking());
+}
+
 TEST_F(FlyingOn, CloudsThatTellAsMuchReplaceIt) {
   const Eigen::Vector3d drift(0.04, -0.03, 0);  // of the odometry
   Cloud drifted = scene.aerial;

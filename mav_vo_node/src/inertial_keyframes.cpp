@@ -13,6 +13,7 @@ using visual_frontend::KeyframeId;
 namespace {
 
 constexpr double kLinkGate = 30.7;        // chi-squared, three degrees of freedom, one in a million
+constexpr double kStrictGate = 7.8;       // likewise, one in twenty
 constexpr double kVelocityStddev = 0.05;  // of a keyframe's adjusted velocity [m/s]
 constexpr double kFineMounting = 0.009;   // of a mounting that the tracks do not find to be another [rad]
 constexpr double kTurnStddev = 0.005;     // of the turn between two keyframes by their landmarks [rad]
@@ -34,7 +35,8 @@ void InertialKeyframes::clear() {
 }
 
 bool InertialKeyframes::contradicts(const Preintegration& motion, const Keyframe& previous, const Keyframe& keyframe,
-                                    double gyro_bias_stddev, double scene_distance) const {
+                                    double gyro_bias_stddev, double scene_distance, bool strictly) const {
+  const double gate = strictly ? kStrictGate : kLinkGate;
   const double dt = motion.duration();
   const InertialState& before = data_.states.at(previous.id);
   const Pose T_before = previous.T_map_camera * data_.T_camera_imu,
@@ -42,14 +44,14 @@ bool InertialKeyframes::contradicts(const Preintegration& motion, const Keyframe
   const double turn =
       air_ground_common::rotationAngle(T_before.linear() * motion.rotation(before.bias), T_after.linear());
   const double turn_sigma = std::hypot(kTurnStddev, gyro_bias_stddev * dt);
-  if (turn * turn > kLinkGate * turn_sigma * turn_sigma) return true;
+  if (turn * turn > gate * turn_sigma * turn_sigma) return true;
   if (!metric()) return false;
   const Eigen::Vector3d p = T_before.translation() + before.velocity * dt -
                             0.5 * dt * dt * kGravity * Eigen::Vector3d::UnitZ() +
                             T_before.linear() * motion.position(before.bias);
   const double sigma =
       std::hypot(kVelocityStddev * dt, 0.5 * dt * dt * accel_bias_stddev_, position_stddev_ * scene_distance);
-  return (T_after.translation() - p).squaredNorm() > kLinkGate * sigma * sigma;
+  return (T_after.translation() - p).squaredNorm() > gate * sigma * sigma;
 }
 
 void InertialKeyframes::add(KeyframeId id, const Keyframe* previous, const std::optional<Preintegration>& motion,

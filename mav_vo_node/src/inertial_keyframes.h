@@ -21,9 +21,10 @@ class InertialKeyframes {
 
   /// Whether a keyframe cannot have come about by this motion from the one before it. Where the camera saw nothing the
   /// vehicle may have been carried off, or the IMU's stamps hide a hole: such a link would tear the map.
-  /// `gyro_bias_stddev` [rad/s].
+  /// `gyro_bias_stddev` [rad/s]. `strictly`: where the IMU has contradicted before.
   bool contradicts(const Preintegration& motion, const visual_frontend::Keyframe& previous,
-                   const visual_frontend::Keyframe& keyframe, double gyro_bias_stddev, double scene_distance) const;
+                   const visual_frontend::Keyframe& keyframe, double gyro_bias_stddev, double scene_distance,
+                   bool strictly = false) const;
   /// A keyframe that follows `previous` by `motion`; none: not linked, and so fast as given [m/s].
   void add(visual_frontend::KeyframeId id, const visual_frontend::Keyframe* previous,
            const std::optional<Preintegration>& motion, const ImuBias& bias, const Eigen::Vector3d& velocity);

@@ -251,12 +251,12 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
 std::string Odometry::Impl::imuReason() const {
   constexpr int kInARow = 3;
   if (!settings.use_imu) return "";
-  if (contradicted_links >= kInARow)
-    return air_ground_common::formatted(
-        "the IMU and the images of the last %d keyframes tell of different motions, and nothing but the map holds its "
-        "scale: see whether the IMU repeats its samples, or its clock was set",
-        contradicted_links);
-  return imu.coverageProblem();
+  if (!imu.coverageProblem().empty() || contradicted_links < kInARow) return imu.coverageProblem();
+  return air_ground_common::formatted(
+      "the IMU and the images tell of different motions between keyframes, %d times by now, and nothing but the map "
+      "holds its "
+      "scale: see whether the IMU repeats its samples, or its clock was set",
+      contradicted_links);
 }
 
 Increment Odometry::Impl::incrementSince(const Pose& T_map_previous) const {

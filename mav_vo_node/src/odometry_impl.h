@@ -61,6 +61,9 @@ struct Odometry::Impl {
   void keepMapsBias();
   void addKeyframe(const cv::Mat& gray);
   KeyframeId insertKeyframe(Keyframe keyframe);  ///< with its inertial link
+  /// Whether the IMU's motion to a new keyframe is to be believed.
+  bool agrees(const Preintegration& motion, const Keyframe& previous, const Keyframe& keyframe);
+  Eigen::Vector3d imuVelocity(const Keyframe& keyframe, bool linked) const;  ///< of a new one in the map [m/s]
   void createLandmarks(KeyframeId id);
   void thinKeyframes();
   void makeMetric();
@@ -111,7 +114,8 @@ struct Odometry::Impl {
   std::string imu_problem;
   double last_stamp = -1;              ///< of the last image [s]
   bool relocalized = false;            ///< since the last keyframe
-  int contradicted_links = 0;          ///< newest keyframes in a row to which the IMU tells of another motion
+  int contradicted_links = 0;          ///< keyframes to which the IMU told of another motion since it was believed
+  int agreeing_links = 0;              ///< the newest in a row to which it tells of the same since then
   std::optional<double> next_readout;  ///< readout time from the next image on, which is predicted with it [s]
   std::optional<Increment> increment;
   bool made_keyframe = false;

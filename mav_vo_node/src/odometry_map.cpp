@@ -68,7 +68,7 @@ void Odometry::Impl::startMap() {
   policy.reset();
   scale.begin(kUnknownTilt);
   relocalized = false;
-  contradicted_links = 0;
+  contradicted_links = agreeing_links = 0;
   ++map_id;
   state = OdometryState::kInitializing;
   reason = "new map";
@@ -166,22 +166,36 @@ KeyframeId Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   const Keyframe* previous = before == kNoKeyframe ? nullptr : &map.keyframe(before);
   std::optional<Preintegration> motion;
   if (settings.use_imu && previous) motion = imu.motion(previous->stamp, keyframe.stamp, bias);
-  // In a metric map nothing but its scale, which no image holds, could give way to an IMU that has gone wrong.
-  const bool contradicted =
-      motion && (relocalized || metric()) &&
-      inertial.contradicts(*motion, *previous, keyframe, imu.gyroBiasStddev(), pose.sceneDistance());
-  if (contradicted) motion.reset();
-  if (contradicted && !relocalized)
-    ++contradicted_links;
-  else if (motion)
-    contradicted_links = 0;
+  if (motion && (relocalized || metric()) && !agrees(*motion, *previous, keyframe)) motion.reset();
   relocalized = false;
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   tracks.addViews(map.keyframe(id));
-  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();
-  if (metric() && scale.filter().initialized()) velocity = scale.filter().state().velocity();
-  inertial.add(id, previous, motion, bias, velocity);
+  inertial.add(id, previous, motion, bias, imuVelocity(map.keyframe(id), motion.has_value()));
   return id;
+}
+
+// In a metric map nothing but its scale, which no image holds, could give way to an IMU that has gone wrong. One that
+// has contradicted is believed again when it agrees closely for some keyframes in a row.
+bool Odometry::Impl::agrees(const Preintegration& motion, const Keyframe& previous, const Keyframe& keyframe) {
+  constexpr int kBelieved = 4;
+  const bool doubted = contradicted_links > 0 && !relocalized;
+  if (inertial.contradicts(motion, previous, keyframe, imu.gyroBiasStddev(), pose.sceneDistance(), doubted)) {
+    contradicted_links += !relocalized;
+    agreeing_links = 0;
+    return false;
+  }
+  if (doubted && ++agreeing_links < kBelieved) return false;
+  contradicted_links = agreeing_links = 0;
+  return true;
+}
+
+// Where no motion leads to the keyframe, the filter has no velocity either; by the images' the next one is judged.
+Eigen::Vector3d Odometry::Impl::imuVelocity(const Keyframe& keyframe, bool linked) const {
+  if (!metric()) return Eigen::Vector3d::Zero();
+  if (const auto seen = linked ? std::nullopt : frames.velocityAt(keyframe.stamp, map))
+    return keyframe.T_map_camera.linear() *
+           (seen->linear + seen->angular.cross(inertial.data().T_camera_imu.translation()));
+  return scale.filter().initialized() ? scale.filter().state().velocity() : Eigen::Vector3d::Zero();
 }
 
 void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
@@ -199,6 +213,7 @@ void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
     keyframe.up_camera = R_camera_imu() * up->up_imu;
     keyframe.up_sigma = std::max(0.02, up->sigma);
   }
+  const bool trusted = contradicted_links == 0;
   const KeyframeId id = insertKeyframe(std::move(keyframe));
   frames.lastIsKeyframe(id);
   createLandmarks(id);
@@ -209,7 +224,7 @@ void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
   thinKeyframes();
   adopt(adjuster.adjustNewest(map, inertial.data(), bundleSettings(), last_stamp));
   policy.setLandmarks(mappedObservations(map.keyframe(id)));
-  if (contradicted_links == 1) {
+  if (trusted && contradicted_links > 0) {
     scale.dropMotionSince(std::prev(map.keyframes().find(id))->second.stamp, frames);
     scale.judgeAnew(frames, map, inertial.data(), metric_since);
   }

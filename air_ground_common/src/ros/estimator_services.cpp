@@ -1,4 +1,5 @@
-// What a user asks of an estimator's node, and what it leaves behind.
+// What a user asks of an estimator's node, what it leaves behind, and what it leaves out.
+#include <cmath>
 #include <filesystem>
 #include <stdexcept>
 
@@ -108,6 +109,32 @@ void EstimatorShell::keepMap() {
   }
 }
 
+// To the estimator these are images that did not come: what it knows of the motion since is the IMU's.
+void EstimatorShell::leaveOut(const EstimatorFrame& frame) {
+  health_.count("images left out: their pixels are those of the image before, and the robot moves");
+  estimator_.idle();
+  constexpr double kHangs = 1.0;  // [s]: some drivers and converters send an image twice now and then
+  const double seconds = frame.stamp.toSec() - frozen_images_.since();
+  if (seconds < kHangs) return;
+  using Status = air_ground::VoStatus;
+  Status status = told_;
+  status.header.stamp = frame.stamp;
+  status.header.frame_id = settings_.map_frame;
+  status.map_id = mapId();
+  if (status.state == Status::STATE_TRACKING || status.state == Status::STATE_SCALING)
+    status.state = Status::STATE_LOST;
+  status.inliers = 0;
+  status.reason = "the images have been the same, pixel by pixel, for " + std::to_string(std::lround(seconds)) +
+                  " s, though the robot moves";
+  health_.withheld(status.reason, "see whether the camera's driver hangs; a simulator's camera needs noise");
+  tell(status);
+}
+
+void EstimatorShell::forgetImages() {
+  frozen_images_ = {};
+  told_ = {};
+}
+
 /// `all`: calibration and mountings are read again, too.
 void EstimatorShell::resetEstimator(bool all) {
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
@@ -121,6 +148,7 @@ void EstimatorShell::resetEstimator(bool all) {
   estimator_.forgetMap();
   estimator_.forgetOdometry();
   last_stamp_ = ros::Time();
+  forgetImages();
   health_.state(health_.kWarn, "started afresh: waiting for images");
 }
 

@@ -11,8 +11,8 @@
 namespace air_ground_common::ros_utils {
 namespace {
 
-constexpr double kPatience =
-    1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
+/// Of a colour image for its depth image [s of data]; of a status without estimator [s].
+constexpr double kPatience = 1.0;
 
 constexpr double kAssembledShare = 0.75;  // of the queue's memory: for pairs; the rest for what waits for its partner
 
@@ -368,6 +368,7 @@ EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image
   }
   if (settings_.use_imu && !T_base_imu)
     ROS_WARN_STREAM("no IMU on " << imu_topic_ << ": " << names_.subject << " " << names_.without_imu);
+  forgetImages();
   built_ = calibration;
   camera_frame_ = camera_frame;
   with_imu_ = T_base_imu.has_value();
@@ -403,27 +404,13 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
 }
 
 void EstimatorShell::tell(const air_ground::VoStatus& status) {
-  health_.state(status.state == air_ground::VoStatus::STATE_TRACKING ? health_.kOk : health_.kWarn,
-                nameOf(status.state) + (status.reason.empty() ? "" : ": " + status.reason) + ", " +
-                    std::to_string(status.inliers) + " landmarks in view" +
-                    (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
+  const bool well = status.state == air_ground::VoStatus::STATE_TRACKING && status.reason.empty();
+  health_.state(well ? health_.kOk : health_.kWarn, nameOf(status.state) +
+                                                        (status.reason.empty() ? "" : ": " + status.reason) + ", " +
+                                                        std::to_string(status.inliers) + " landmarks in view" +
+                                                        (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
   told_ = status;
   status_publisher_.publish(status);
-}
-
-// To the estimator these are images that did not come: what it knows of the motion since is the IMU's.
-void EstimatorShell::leaveOut(const EstimatorFrame& frame) {
-  health_.count("images left out: their pixels are those of the image before, and the robot moves");
-  const double seconds = frame.stamp.toSec() - frozen_images_.since();
-  if (seconds < kPatience) return;  // some drivers and converters send an image twice now and then
-  air_ground::VoStatus status = told_;
-  status.header.stamp = frame.stamp;
-  if (status.state == air_ground::VoStatus::STATE_TRACKING) status.state = air_ground::VoStatus::STATE_LOST;
-  status.inliers = 0;
-  status.reason = "the images have been the same, pixel by pixel, for " + std::to_string(std::lround(seconds)) +
-                  " s, though the robot moves";
-  health_.withheld(status.reason, "see whether the camera's driver hangs; a simulator's camera needs noise");
-  tell(status);
 }
 
 /// A status says so, too, unless there are others or it is only a matter of time: topics have no order between them.

@@ -81,6 +81,13 @@ def _rows(image, kind, count):
     return np.ascontiguousarray(rows).view(dtype)
 
 
+def _values_a_row(image):
+    """Without what fills up the rows of a raw image."""
+    generic = re.fullmatch(r'\d+[USF]C(\d*)', image.encoding)
+    named = {'rgb': 3, 'bgr': 3, 'rgba': 4, 'bgra': 4, 'yuv': 2}.get(re.match('[a-z]*', image.encoding).group(), 1)
+    return image.width * (int(generic.group(1) or 1) if generic else named)
+
+
 def _broken(image):
     """Why the bytes of a raw image are not its pixels; '' where they are."""
     if not (image.width and image.height):
@@ -145,7 +152,7 @@ def check_image(topic, stream, encodings, instead=''):
         result.append(Finding(WARNING if sound else ERROR, f'{topic}: {len(faults)} of the first {len(stream.samples)} images are broken ({faults[0]}): the nodes leave such out'))
     if sound and encodings is GREY:
         if '16' in image.encoding and 'a16' not in image.encoding:  # the nodes stretch none with an alpha channel
-            counts = [_rows(sample, np.uint16, sample.step // 2) for sample in sound.values()]
+            counts = [_rows(sample, np.uint16, _values_a_row(sample)) for sample in sound.values()]
             levels = pixel_range.levels(counts)
             grey = levels.grey(counts[-1])
             if levels.narrow():
@@ -153,7 +160,7 @@ def check_image(topic, stream, encodings, instead=''):
             elif levels.bits < 16:
                 result.append(Finding(OK, f'{topic}: its pixels use {levels.bits} of 16 bits: the nodes move them up'))
         else:
-            grey = np.frombuffer(sound[max(sound)].data, np.uint8)
+            grey = _rows(sound[max(sound)], np.uint8, _values_a_row(sound[max(sound)]))
         if grey.std() < FLAT:
             result.append(Finding(WARNING, f'{topic}: image {max(sound)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
                                   'too dark?'))

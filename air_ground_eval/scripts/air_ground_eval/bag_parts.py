@@ -20,30 +20,33 @@ def _span(path):
 
 
 def parts_beside(path):
-    """Paths of the parts of the recording that the bag at `path` is one of, in order; empty where it is whole. Bags of other recordings may be numbered, too: parts follow each other in time."""
+    """Paths of the parts of the recording that the bag at `path` is one of, in order; empty where it is whole. Bags of other recordings may have the same names and numbers: parts
+    follow each other in time."""
     folder, match = os.path.dirname(path), PART.fullmatch(os.path.basename(path))
     if match is None:
         return []
-    numbered = {}
-    for other in glob.glob(os.path.join(glob.escape(folder), glob.escape(match['prefix']) + '_*.bag')):
+    numbered, spans = {}, {path: _span(path)}
+    for other in sorted(glob.glob(os.path.join(glob.escape(folder), glob.escape(match['prefix']) + '_*.bag'))):
         its = PART.fullmatch(os.path.basename(other))
         if its is not None and its['prefix'] == match['prefix'] and (its['time'] is None) == (match['time'] is None):
-            numbered.setdefault(int(its['number']), other)
-    number, spans = int(match['number']), {}
-    numbered[number] = path
+            numbered.setdefault(int(its['number']), []).append(other)
 
-    def follows(first):
-        for n in (first, first + 1):
-            if n in numbered and n not in spans:
-                spans[n] = _span(numbered[n])
-        return spans.get(first) is not None and spans.get(first + 1) is not None and abs(spans[first + 1][0] - spans[first][1]) < PAUSE
+    def next_to(part, number, edge):
+        """The bag of that number that begins (edge 1) where `part` ends, or ends (0) where it begins; None where there is none."""
+        for other in numbered.get(number, []) if spans[part] else []:
+            if other not in spans:
+                spans[other] = _span(other)
+            if spans[other] and abs(spans[part][edge] - spans[other][1 - edge]) < PAUSE:
+                return other
+        return None
 
-    begin = end = number
-    while follows(begin - 1):
-        begin -= 1
-    while follows(end):
-        end += 1
-    return [numbered[n] for n in range(begin, end + 1)] if end > begin else []
+    number, parts = int(match['number']), [path]
+    first = last = number
+    while before := next_to(parts[0], first - 1, 0):
+        parts, first = [before, *parts], first - 1
+    while after := next_to(parts[-1], last + 1, 1):
+        parts, last = [*parts, after], last + 1
+    return parts if len(parts) > 1 else []
 
 
 def advice(path):

@@ -11,7 +11,6 @@ import rospy
 
 from . import geometry, messages, own_outputs, reference_faults
 from .bag_topics import PACKETS
-from .evaluation import Track
 from .truth import Reference
 from .video import is_video
 
@@ -314,8 +313,3 @@ class BagFacts:
             poses[:, :3, :3] = geometry.matrix_from_quaternion(quaternions[believed])
         poses[:, :3, 3] = positions[believed]
         return Reference(stamps[believed], poses, attitude, frame.lstrip('/'), len(keep) - len(believed))
-
-    def pose_track(self, topic, T_base_camera):
-        """Camera track from a topic with the poses of base_link, or None when the bag holds no such topic or no poses."""
-        found = self.reference(topic)
-        return Track(found.stamps, found.poses @ T_base_camera) if found is not None and found.attitude else None

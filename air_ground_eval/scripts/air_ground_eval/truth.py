@@ -81,7 +81,7 @@ def _line(reference, estimated, aligned):
     off = np.sqrt(np.mean(np.sum((scale * estimated @ R.T + t - reference) ** 2, 1)))
     _, spread, axes = np.linalg.svd((reference - reference.mean(0)) / np.sqrt(len(reference)), full_matrices=False)
     told = spread[1] > min(max(OFF_LINE, OFF_BY_ERRORS * off), SLENDER * spread[0])
-    return None if told or abs(axes[0] @ UP) > 0.9 else axes[0]
+    return None if told or abs(axes[0] @ UP) > UPWARDS else axes[0]
 
 
 def _upright(R, line):
@@ -230,7 +230,7 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
         return None, f'{kind}; no pose to compare', notes
     mounting = estimate_mounting(reference, estimate)
     if mounting is None:
-        return None, f'{kind}; no comparison', [f'{topic} tells {kind}, and fewer than {FEWEST} poses of {robot} are of its time: no errors']
+        return None, f'{kind}; no comparison', notes + [f'{topic} tells {kind}, and fewer than {FEWEST} poses of {robot} are of its time: no errors']
     open_axes = ' and '.join('(' + ' '.join(f'{x:.2f}' for x in axis) + ')' for axis in mounting.free)
     if reference.attitude and 0 < len(mounting.free) < 3 and agrees(mounting, T_base_camera):
         said = f'{topic} tells {kind}, which moves as {base} does: taken for that; the motion turns too little to tell how far they are apart along {open_axes}'

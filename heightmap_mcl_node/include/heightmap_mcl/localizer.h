@@ -70,6 +70,8 @@ class HeightMapLocalizer {
 
   bool hasGround() const { return ground_ != nullptr; }
   bool hasAerial() const;
+  /// Position of the MAV at the newest cloud, in mav_map as it is now; zero without one.
+  Eigen::Vector3d reference() const;
   /// Aerial maps dropped so far because the newest lay too far away.
   std::size_t farMapsDropped() const;
   const ParticleFilter& filter() const { return filter_; }

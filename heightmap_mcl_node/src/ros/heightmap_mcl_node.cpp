@@ -141,12 +141,12 @@ class HeightmapMclNode {
         earlier_.setOwnUnit(work->own_unit);
         localizer_.setVertical(work->vertical);
         earlier_.setVertical(work->vertical);
-        const bool searched_with_cloud = work->aerial.cloud && !work->ground_corrected && converged();
-        if (work->ground) useGround(work->ground, work->ground_corrected, searched_with_cloud);
         if (work->corrections) {
           localizer_.correct(*work->corrections);
           earlier_.correct(*work->corrections);
         }
+        const bool searched_with_cloud = work->aerial.cloud && !work->ground_corrected && converged();
+        if (work->ground) useGround(work->ground, work->ground_corrected, searched_with_cloud);
         for (const AerialMessage& msg : work->passed_by) keepForLater(msg, work->own_unit);
         for (const AerialMessage& msg : work->before) useAerial(msg, work->own_unit, false);
         if (work->aerial.cloud) {
@@ -249,7 +249,6 @@ class HeightmapMclNode {
     if (!usable) return;
     AerialCloud& cloud = *usable;
     heading_ = msg.reference ? air_ground_common::yawOf(msg.reference->T_map_body.rotation()) : 0;
-    reference_ = cloud.reference;
     std::size_t cropped = 0;
     const std::size_t far = localizer_.farMapsDropped();
     const bool added = search ? localizer_.addAerial(cloud, &cropped) : localizer_.keepAerial(cloud, &cropped);
@@ -321,7 +320,7 @@ class HeightmapMclNode {
     if (work.ground_frame.empty() || work.mav_frame.empty()) return;
     if (!publishCoarse(e, header, work) || !e.has_pose) return;
 
-    const Eigen::Vector3d reference = e.scale * (e.R_level * reference_);
+    const Eigen::Vector3d reference = e.scale * (e.R_level * localizer_.reference());
     const double z = reference.z() + e.T_ground_mav.translation().z();
     particles_.publish(toMsg(localizer_.filter().particles(), z, heading_, header));
     if (costmap_.getNumSubscribers() > 0) {
@@ -353,7 +352,6 @@ class HeightmapMclNode {
   bool heading_known_ = false;  // by the compass
   bool guessed_ = false;        // initialpose is in force
   ros::Time aerial_stamp_, ground_stamp_;
-  Eigen::Vector3d reference_ = Eigen::Vector3d::Zero();
   double heading_ = 0;
   std::optional<Status> last_status_;
   std::thread worker_;

@@ -169,6 +169,7 @@ class AlignmentRefiner {
   /// Puts the outcome back to the tracked pose where it agrees with that, which is known much better, unless the
   /// heights of the newest clouds contradict it.
   void keepIfKnownBetter(const Cloud& reading, RefineOutcome* out) const;
+  bool contradict(const HeightCheck& heights) const;
   void follow(bool from_tracking, RefineOutcome* out);
   /// Heights that contradict the tracked pose do not end it.
   bool imagesHold(const RefineOutcome& out) const;

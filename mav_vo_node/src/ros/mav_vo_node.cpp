@@ -121,6 +121,8 @@ class MavVoNode : private ros_utils::Estimator {
     ros_utils::EstimatorResult result;
     result.status = statusMessage(r);
     if (!r.imu_at_fault) result.advice = adviceFor(r.state, !visual_);
+    if (r.imu_at_fault && r.state == OdometryState::kTracking)
+      shell_.health().count("images tracked while the IMU contradicts them or is silent; vo_status.reason says which");
     result.pose_published = usable && r.metric;
     result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
     return result;

@@ -197,6 +197,7 @@ class EstimatorShell {
   Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
   void leaveOut(const EstimatorFrame& frame);
+  void forgetImages();
   void tell(const air_ground::VoStatus& status);
   void resetEstimator(bool all);
   void dropEstimator();
