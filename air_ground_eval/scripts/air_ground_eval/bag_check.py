@@ -156,7 +156,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += bag_frames.check_static(facts)
     frames = {robot: {frame.lstrip('/') for standard, topic in present.items() if standard.startswith(f'/{robot}/') for frame in streams[topic].frames} for robot in robots}
     findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases, frames)
-    findings += own_outputs.check(facts) + _elsewhen(facts) + [Finding(WARNING, text) for text in filter(None, [bag_parts.advice(facts.path)])]
+    findings += own_outputs.check(facts) + _elsewhen(facts) + [Finding(WARNING, text) for text in bag_parts.advice(facts.path)]
     registration = _registration(present, streams)
     findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '',
                                                                bag_missing.import_line(facts, actual), apart != '')

@@ -50,10 +50,10 @@ def parts_beside(path):
 
 
 def advice(path):
-    """What to do with one part of a recording; '' where the bag is whole."""
+    """What to do with one part of a recording: one line, or none where the bag is whole."""
     parts = parts_beside(path)
     if not parts:
-        return ''
+        return []
     whole = os.path.join(os.path.dirname(path), PART.fullmatch(os.path.basename(path))['prefix'] + '.bag')
-    return (f'{os.path.basename(path)} is one of {len(parts)} parts of a recording (rosbag record --split), and what is latched or sent once is in the first alone:  '
-            f'rosrun air_ground join_bags {" ".join(map(shlex.quote, parts))} {shlex.quote(whole)}  makes one bag of them')
+    return [f'{os.path.basename(path)} is one of {len(parts)} parts of a recording (rosbag record --split), and what is latched or sent once is in the first alone:  '
+            f'rosrun air_ground join_bags {" ".join(map(shlex.quote, parts))} {shlex.quote(whole)}  makes one bag of them']

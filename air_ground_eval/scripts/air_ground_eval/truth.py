@@ -199,7 +199,7 @@ def _that_turn(reference, estimate, topic, robot):
     """(reference, notes): of positions alone where its attitudes do not turn and the odometry's do, as where a receiver's or a total station's positions are published as poses."""
     known, own = _together(reference.stamps, estimate.stamps), _together(estimate.stamps, reference.stamps)
     turned = _most_turned(estimate.poses[own])
-    if not reference.attitude or not np.any(known) or _most_turned(reference.poses[known]) > STEADY or turned < TURNED or _rests(reference, estimate):
+    if not reference.attitude or not np.any(known) or _most_turned(reference.poses[known]) > STEADY or turned < TURNED:
         return reference, []
     said = (f'{topic}: its attitudes never turn, while those of {robot} do, by up to {np.degrees(turned):.0f} degrees: taken for positions alone, as of a receiver or a total station; '
             f'where they are right, {robot} turned by that much of which its errors contain nothing')
@@ -215,12 +215,14 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     if reference is None:
         return None, '', []
     notes = reference_faults.said(topic, reference.left_out, reference.left_out + len(reference.stamps))
-    reference, said = _that_turn(reference, estimate, topic, robot)
-    notes += said
+    rests = _rests(reference, estimate)
+    if not rests:
+        reference, said = _that_turn(reference, estimate, topic, robot)
+        notes += said
     frame = reference.frame or (base if reference.attitude and topic.endswith(f'/ground_truth/{robot}') else '')
     T_frame_base = bag.static_transform(frame, base) if frame and reference.attitude else None
     kind = f'{"poses" if reference.attitude else "positions"} of {frame or "a body that is not named"}'
-    if T_frame_base is None and _rests(reference, estimate):
+    if T_frame_base is None and rests:
         return None, f'{kind}; no comparison', notes + [f'{topic} tells {kind}, which does not move while {robot} gives poses: no errors. Where {robot} moved, the topic is of another body']
     reference, moved, said = _on_the_images_clock(reference, estimate, topic, robot)
     notes += said
